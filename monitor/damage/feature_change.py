@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher, rankdata, t as student
 
-from monitor.core import Array, Level, OnProgress, Skipped, Step
+from monitor.core import Array, BadInputError, Level, OnProgress, Skipped, Step
 from monitor.damage.healthy_series import FOLDS, FeatureModel, Left, correlation_time, lagged, learn
 
 _LENGTHS = (1, 8, 16, 32, 64, 128, 256)

@@ -14,6 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, ModalEstimate, Skipped, Window
+from monitor.identification.short_records import own_motion, stated, stated_refined
 from monitor.identification.ssi import PoleTable, SsiSettings
 from monitor.identification.stabilization import (
     BAND,
@@ -55,10 +56,16 @@ def identify_modes(
     estimates = [marked.estimate(rows, np.arange(len(rows))) for rows in starts]
     refined = _refine(estimates, refiner)
     if refined is not None:
-        return refined
-    found = replace(estimates[0], deviations=_deviations(marked, starts[0]))
-    found = replace_split_modes(marked, starts[0], found, select)
-    return found if has_intervals(found) else Skipped(WITHOUT_INTERVAL)
+        return stated_refined(refined)
+    own = _deviations(marked, starts[0])
+    found = replace_split_modes(marked, starts[0], replace(estimates[0], deviations=own), select)
+    if not has_intervals(found):
+        return Skipped(WITHOUT_INTERVAL)
+    if len(window.segments) >= refinement.min_segments:
+        return found
+    sums = own_motion(window, found, refinement.half_band)
+    simulated = None if sums is None else _deviations(replace(marked, window=replace(window, sums=sums)), starts[0])
+    return stated(found, found.deviations, simulated)
 
 
 def _clusters(marked: MarkedPoles, select: SelectionSettings) -> list[list[int]]:

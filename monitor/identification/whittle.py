@@ -39,7 +39,7 @@ from monitor.identification.whittle_model import (
 )
 from monitor.signals import overlap_correlation
 
-_WEAK_STD = 3.0
+WEAK_STD = 3.0
 """Prior standard deviation of a parameter that the data hardly determine. [1; not recorded]"""
 _MAX_START_RATIO = 20.0
 """Power of the data over the model's from which no fit is tried. [ratio; simulation: between 1 and 2 where a start
@@ -87,12 +87,12 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             if level.mean() > _MAX_START_RATIO:  # the response is not of these modes: the scoring would diverge
                 return modes
             level /= level.mean()
-            score_weights, information = _score_weights(layout, inverse, model)
+            weights, information = score_weights(layout, inverse, model)
             mean = np.tensordot(1.0 / level, data, axes=1) / n_segments
-            score = product((mean - upper(model.value))[None], score_weights)[0]
+            score = product((mean - upper(model.value))[None], weights)[0]
             # Noise far below the response is hardly determined by the data: a wide prior bounds it.
             weak = np.arange(n_modal + len(layout.pairs), len(information))
-            information[weak, weak] += 1.0 / (_WEAK_STD**2 * n_segments)
+            information[weak, weak] += 1.0 / (WEAK_STD**2 * n_segments)
             if not np.diag(information).min() > 0.0:  # more modes than the channels can distinguish
                 return modes
             scale = 1.0 / np.sqrt(np.diag(information))
@@ -103,7 +103,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             step_stds = np.abs(step) / np.sqrt(np.diag(covariance) / n_segments)
             point = take_step(layout, point, step)
             if iteration and step_stds[:n_modal].max() < settings.tolerance:
-                scores = product(data, score_weights) / level[:, None]
+                scores = product(data, weights) / level[:, None]
                 influence = (scores - scores.mean(axis=0)) @ covariance[:, :n_modal] / n_segments
                 rows, factor = shrunk_uncertainty(influence, covariance[:n_modal, :n_modal] / n_segments)
                 damping = slice(point.ln_f.size, 2 * point.ln_f.size)
@@ -114,7 +114,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     return modes
 
 
-def _score_weights(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
+def score_weights(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
     """Compute the weights of a packed spectrum in its score by each parameter, and a segment's Fisher information."""
     weights = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
     return weights, product(weights, packed(layout, model.u[None], model.v))

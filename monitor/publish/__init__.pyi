@@ -15,7 +15,12 @@ from .reports.look_data import (
     LookedMode as LookedMode,
     LookedRecording as LookedRecording,
 )
-from .reports.look_page import mode_rows as mode_rows, write_look as write_look
+from .reports.look_page import (
+    doubtful_rows as doubtful_rows,
+    mode_rows as mode_rows,
+    peaks_in_words as peaks_in_words,
+    write_look as write_look,
+)
 from .reports.period_report import read_period as read_period, write_period as write_period
 from .results.arrow_table import WINDOWS_SCHEMA as WINDOWS_SCHEMA, windows_table as windows_table
 from .results.event_lines import (

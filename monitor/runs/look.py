@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -37,8 +37,17 @@ from monitor.identification import (
     fit_single_modes,
     identify_modes,
 )
-from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
-from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
+from monitor.publish import (
+    G_M_S2,
+    LookedBand,
+    LookedMode,
+    LookedRecording,
+    doubtful_rows,
+    mode_rows,
+    peaks_in_words,
+    write_look,
+)
+from monitor.runs.look_doubts import Facts, distinct_peaks, find_doubts, find_remarks, remark_modes, unexplained_peaks
 from monitor.runs.look_structure import propose_structure
 from monitor.runs.readers import ImportedChannel, Options, are_recordings, as_recordings, doubt_unit
 from monitor.runs.recordings import OnWarning, Progress, file_names, read_topics
@@ -50,6 +59,7 @@ from monitor.signals import (
     WindowGrid,
     alignment,
     each_once,
+    find_peaks,
     sensor_health,
     times_held,
     transform,
@@ -58,8 +68,8 @@ from monitor.signals import (
 
 _MOST_VALUES = 1 << 27
 """Most samples, of all channels together, that are looked at; a longer recording is cut. [count; cost: 1 GB of memory]"""
-_BAND_RATIO = 4
-"""Ratio of the sampling rates of neighbouring bands. [1; cost: each band spans a range of frequencies of 1 to 20]"""
+_CUTOFF = 0.4
+"""Cutoff of the lowpass over the rate. [ratio; as the default of [processing]]"""
 _LEAST_CYCLES = 100.0
 """Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %]"""
 _LEAST_BLOCKS = 12
@@ -154,11 +164,12 @@ def _look(
             f"record at least {LEAST_SAMPLES}"
         )
     if reason := too_short(file_names(paths), len(longest.values), rate_hz):
-        raise BadInputError(reason)
+        raise BadInputError(reason + _all_peaks(longest.values, rate_hz))
     duration_s = (runs[-1].t_ns - runs[0].t_ns) * 1e-9 + len(runs[-1].values) / rate_hz
     transforms, design, middles_s = _transforms(runs, rate_hz)
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
-    bands = _identify_bands(longest.values, rate_hz)
+    looked = (identify_band(longest.values, rate_hz, *band) for band in _bands(longest.values, rate_hz))
+    bands = [band for band in looked if band is not None]
     modes = _merge(bands)
     lowest_hz = min((band.band_hz[0] for band in bands), default=rate_hz / 2.0)
     if bands:
@@ -190,6 +201,7 @@ def _look(
         lowest_hz=lowest_hz,
     )
     facts = replace(facts, modes=remark_modes(facts))
+    facts = replace(facts, peaks_hz=unexplained_peaks(facts, [(band.peaks_hz, band.step_hz) for band in bands]))
     columns = np.array_split(np.abs(transforms) ** 2, min(len(transforms), _SHOWN_COLUMNS))  # of the spectrogram
     return LookedRecording(
         files=tuple(map(str, paths)),
@@ -211,6 +223,7 @@ def _look(
         spectrogram=np.array([2.0 * part.mean(axis=0) for part in columns]),
         bands=tuple(bands),
         modes=facts.modes,
+        peaks_hz=facts.peaks_hz,
         doubts=find_doubts(facts),
     )
 
@@ -320,69 +333,86 @@ def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, Seg
     return np.array(transforms), design, np.array(middles)
 
 
-def _identify_bands(values: Annotated[Array, "n c"], rate_hz: float) -> list[LookedBand]:
-    """Identify the modes of a run at the source's rate and at lower ones, each with a band of its own.
+def _bands(values: Annotated[Array, "n c"], rate_hz: float) -> Iterator[tuple[float, float]]:
+    """List the source's rate and the lower ones, each with the lowest frequency that is looked for at it.
 
-    The lags of the identification span one period of a band's lowest mode.
+    The lags of the identification span one period of that.  The rates end where less than an octave is left of the band.
     """
-    least_hz = _LEAST_CYCLES / (len(values) / rate_hz)
-    out, rate, top = [], rate_hz, True
-    while True:
-        lowest = rate / (2 * SsiSettings().block_rows)
-        band = identify_band(values, rate_hz, rate, max(lowest, least_hz))
-        if band is not None:
-            out.append(band)
-        if lowest <= least_hz or (band is None and not top):
-            return out
-        rate, top = rate / _BAND_RATIO, False
+    least_hz, rate = _LEAST_CYCLES / (len(values) / rate_hz), rate_hz
+    while rate == rate_hz or _CUTOFF * rate > 2.0 * least_hz:
+        yield rate, max(rate / (2 * SsiSettings().block_rows), least_hz)
+        rate /= 2.0
 
 
 def identify_band(values: Array, source_hz: float, rate_hz: float, lowest_hz: float) -> LookedBand | None:
     """Identify the modes from `lowest_hz` up at a lower rate; None where the run is too short for it."""
-    conditioner = Conditioner.design(source_hz, rate_hz, 0.4 * rate_hz)
+    window, cutoff_hz = _window(values, source_hz, rate_hz, lowest_hz)
+    if window is None:
+        return None
+    # A mode below the band bends the spectra of the lowest one in it, so that it is identified too; it is not told.
+    select = SelectionSettings(min_frequency_hz=0.5 * lowest_hz)
+    modes = identify_modes(window, SsiSettings(), select, RefinementSettings(), cutoff_hz=cutoff_hz)
+    second = () if isinstance(modes, Skipped) else fit_single_modes(window.segments, window.segment_bin_hz, modes)
+    peaks_hz = _peaks_hz(window, lowest_hz, cutoff_hz)
+    return LookedBand(window.rate_hz, (lowest_hz, cutoff_hz), modes, second, peaks_hz, window.segment_bin_hz)
+
+
+def _window(values: Array, source_hz: float, rate_hz: float, lowest_hz: float) -> tuple[Window | None, float]:
+    """Make one window of a run at a lower rate; return it, None where the run is too short for it, and its cutoff, Hz."""
+    conditioner = Conditioner.design(source_hz, rate_hz, _CUTOFF * rate_hz)
     _, x = conditioner.step_block(conditioner.start(values.shape[1]), values - values.mean(axis=0))
     rate, n_lags = conditioner.rate_hz, 2 * SsiSettings().block_rows
     block_n = max(n_lags, min(round(_SEGMENT_BLOCKS_S * rate), len(x) // 40))
     blocks = len(x) // block_n
     if blocks < _LEAST_BLOCKS:
-        return None
+        return None, conditioner.cutoff_hz
     x = x[len(x) - blocks * block_n :]  # the filter starts up in what is left over
     segment_s = max(20.0, min(_SEGMENT_CYCLES / lowest_hz, 2.0 * len(x) / rate / (_LEAST_SEGMENTS + 1)))
     segment_s = min(segment_s, 2.0 * len(x) / rate / (RefinementSettings().min_segments + 1))
     grid = WindowGrid(rate, len(x), block_n, n_lags, segment_s, conditioner.cutoff_hz)
     _, made = windows.step(grid, windows.start(grid, x.shape[1], index=0), x, 0)
-    window = next(one for one in made if isinstance(one, Window))
-    # A mode below the band bends the spectra of the lowest one in it, so that it is identified too; it is not told.
-    select = SelectionSettings(min_frequency_hz=0.5 * lowest_hz)
-    modes = identify_modes(window, SsiSettings(), select, RefinementSettings(), cutoff_hz=conditioner.cutoff_hz)
-    second = () if isinstance(modes, Skipped) else fit_single_modes(window.segments, window.segment_bin_hz, modes)
-    return LookedBand(rate, (lowest_hz, conditioner.cutoff_hz), modes, second)
+    return next(one for one in made if isinstance(one, Window)), conditioner.cutoff_hz
+
+
+def _peaks_hz(window: Window, lowest_hz: float, highest_hz: float) -> tuple[float, ...]:
+    """Find the peaks of a window's spectra in a band."""
+    found = (k * window.segment_bin_hz for k in find_peaks(np.array(window.segments)))
+    return tuple(hz for hz in found if lowest_hz <= hz <= highest_hz)
+
+
+def _all_peaks(values: Array, rate_hz: float) -> str:
+    """Name the peaks of a run that is too short for modes; empty where there is none."""
+    peaks = []
+    for rate, lowest_hz in _bands(values, rate_hz):
+        window, cutoff_hz = _window(values, rate_hz, rate, lowest_hz)
+        if window is not None:
+            peaks.append((_peaks_hz(window, lowest_hz, cutoff_hz), window.segment_bin_hz))
+    named = ", ".join(f"{hz:.3g}" for hz in distinct_peaks(peaks))
+    return f"; its spectra have peaks at {named} Hz" if named else ""
 
 
 def _merge(bands: Sequence[LookedBand]) -> list[LookedMode]:
     """Collect the modes of all bands by frequency.
 
-    Of a mode that several bands show, a refined estimate is taken rather than one that is not, then that of the band whose middle
-    is nearest.
+    Of a mode that several bands show, a refined estimate is taken rather than one that is not, then one with a second opinion,
+    then that whose damping is most certain.
     """
     found = [
-        (
-            not band.modes.refined,
-            abs(np.log(f / np.sqrt(band.band_hz[0] * band.band_hz[1]))),
-            _mode(band.modes, k, band.second[k]),
-        )
+        _mode(band.modes, k, band.second[k])
         for band in bands
         if isinstance(band.modes, ModalEstimate)
         for k, f in enumerate(band.modes.frequencies_hz.tolist())
         if f >= band.band_hz[0] and f > 2.0 * band.modes.frequencies_std_hz[k]
     ]
     kept: list[LookedMode] = []
-    for _, _, mode in sorted(found, key=lambda one: one[:2]):
+    for mode in sorted(
+        found, key=lambda m: (not m.refined, isinstance(m.second, Skipped), m.damping_std / m.damping_ratio)
+    ):
         if not any(_is_same(mode, other) for other in kept):
             kept.append(mode)
     kept.sort(key=lambda m: m.frequency_hz)
     limit = NormalDist().inv_cdf(1.0 - _FALSE_RATE / (4.0 * max(1, len(kept))))  # frequency and damping, either way
-    return [replace(mode, differs=_differs(mode, limit)) for mode in kept]
+    return [compared(mode, limit) for mode in kept]
 
 
 def _is_same(a: LookedMode, b: LookedMode) -> bool:
@@ -413,15 +443,24 @@ def _mode(modes: ModalEstimate, k: int, second: SingleMode | Skipped) -> LookedM
     )
 
 
-def _differs(mode: LookedMode, limit: float) -> str:
-    """Say where the second opinion differs from the first by more than `limit` standard deviations; empty where it does not."""
-    other = mode.second
+def compared(mode: LookedMode, limit: float) -> LookedMode:
+    """Say in what the second opinion differs from the first by more than `limit` standard deviations, and widen that interval.
+
+    The variance between the two methods is added (DerSimonian and Laird, Controlled Clinical Trials 7 (1986) 177-188).
+    """
+    other, said = mode.second, []
     if isinstance(other, Skipped):
-        return ""
-    f = abs(other.frequency_hz - mode.frequency_hz) / np.hypot(other.frequency_std_hz, mode.frequency_std_hz)
-    d = abs(other.damping_ratio - mode.damping_ratio) / np.hypot(other.damping_std, mode.damping_std)
-    said = [name for name, z in (("frequency", f), ("damping", d)) if z > limit]
-    return " and ".join(said)
+        return mode
+    f_std, damping_std = mode.frequency_std_hz, mode.damping_std
+    apart = abs(other.frequency_hz - mode.frequency_hz)
+    if apart > limit * np.hypot(other.frequency_std_hz, f_std):
+        said.append("frequency")
+        f_std = float(np.sqrt(0.5 * (apart**2 + f_std**2 - other.frequency_std_hz**2)))
+    apart = abs(other.damping_ratio - mode.damping_ratio)
+    if apart > limit * np.hypot(other.damping_std, damping_std):
+        said.append("damping")
+        damping_std = float(np.sqrt(0.5 * (apart**2 + damping_std**2 - other.damping_std**2)))
+    return replace(mode, frequency_std_hz=f_std, damping_std=damping_std, differs=" and ".join(said))
 
 
 RESULT_FILES = ("look.html", "look.json", "modes.csv")
@@ -451,17 +490,24 @@ def _modes_table(found: LookedRecording) -> str:
     writer.writerow(
         ["mode", "frequency_hz", "frequency_std_hz", "damping_ratio", "damping_std", "collinearity", *shape, "remark"]
     )
-    for number, m in enumerate(found.modes, start=1):
+    for number, m in found.numbered():
         parts = [v for x, std in zip(m.shape, m.shape_std, strict=True) for v in (x.real, x.imag, std)]
         numbers = [m.frequency_hz, m.frequency_std_hz, m.damping_ratio, m.damping_std, m.collinearity, *parts]
-        writer.writerow([number, *(f"{value:.9g}" for value in numbers), m.remark])
+        writer.writerow([number or "", *(f"{value:.9g}" for value in numbers), m.doubt])
     return text.getvalue()
 
 
 def in_words(found: LookedRecording) -> str:
     """Write the result for a terminal: the modes first, then level and doubts."""
     head = ["mode", "f, Hz", "damping, %", "second, Hz", "second, %", ""]
-    lines = in_columns([head, *mode_rows(found)]) if found.modes else ["no modes found"]
+    rows, below = mode_rows(found), doubtful_rows(found)
+    lines = in_columns([head, *rows, *below])
+    if below:
+        lines.insert(1 + len(rows), "-- doubtful:")
+    if not rows:
+        lines = ["no modes found", *(lines if below else [])]
+    if found.peaks_hz:
+        lines.append(peaks_in_words(found))
     lines += [f"note: {note}" for note in found.notes]
     lines.append(
         f"{found.duration_s:.6g} s at {found.rate_hz:g} Hz from {str(np.datetime64(found.t_start_ns, 'ns'))[:19]} UTC; "

@@ -10,10 +10,11 @@ from typing import Annotated
 
 import numpy as np
 
-from monitor.core import Array, ComplexArray
+from monitor.core import Array, ComplexArray, Skipped
 from monitor.publish import G_M_S2, LookedMode
+from monitor.runs.look_structure import fit_frame, frame_misfit
 from monitor.runs.readers.recording import GRAVITY_TOLERANCE
-from monitor.signals import FALSE_RATE, channel_relations, mains_hum, sensor_drift, sensor_health
+from monitor.signals import FALSE_RATE, MAIN_LOBE_BINS, channel_relations, mains_hum, sensor_drift, sensor_health
 
 _STRONGEST_G = 2.0
 """RMS from which the unit is asked; no structure that is monitored moves so. [g; judgement: strong earthquakes give 0.3]"""
@@ -35,6 +36,8 @@ _MOST_NAMED = 5
 """Most sinusoids that are named. [count; judgement]"""
 _LEAST_CHANNELS = 3
 """Channels from which one can be told to be out of line. [count; definition]"""
+_LEAST_MODES = 2
+"""Modes from which other frequencies tell the same as the lowest one. [count; definition]"""
 _TONE_OFFSET_BINS = 4
 """Bins from a peak where its background begins. [bins; the Hann taper's leakage is then below a thousandth]"""
 
@@ -64,6 +67,8 @@ class Facts:
     modes: tuple[LookedMode, ...]
     lowest_hz: float
     """Lowest frequency at which modes were looked for."""
+    peaks_hz: tuple[float, ...] = ()
+    """Peaks of the spectra that nothing explains."""
 
 
 def find_doubts(facts: Facts) -> tuple[str, ...]:
@@ -83,6 +88,31 @@ def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:
             mode = replace(mode, remark="of constant size, as a machine forces it: may be no mode")
         out.append(mode)
     return tuple(out)
+
+
+def unexplained_peaks(facts: Facts, peaks: Sequence[tuple[Sequence[float], float]]) -> tuple[float, ...]:
+    """List the peaks of the bands' spectra, Hz, that no mode, machine or mains explains; each band's with its resolution."""
+    explained = [(hz, MAIN_LOBE_BINS * facts.step_hz) for hz in _tones(facts)]
+    explained += [(mode.frequency_hz, 2.0 * mode.damping_ratio * mode.frequency_hz) for mode in facts.modes]
+    hums = mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz)
+    explained += [(hum.hz, hum.high_hz - hum.hz) for hum in hums]
+    return distinct_peaks(peaks, explained)
+
+
+def distinct_peaks(
+    peaks: Sequence[tuple[Sequence[float], float]], explained: Sequence[tuple[float, float]] = ()
+) -> tuple[float, ...]:
+    """List the peaks of several bands' spectra once each, as the finest one shows them, without what is explained.
+
+    Each band has its peaks and its resolution, what is explained a frequency and a half-width, all in Hz.
+    """
+    known, left = list(explained), list[float]()
+    for found, step_hz in sorted(peaks, key=lambda band: band[1]):
+        reach = MAIN_LOBE_BINS * step_hz
+        new = [hz for hz in found if all(abs(hz - at) > reach + width for at, width in known)]
+        known += [(hz, reach) for hz in new]
+        left += new
+    return tuple(sorted(left))
 
 
 def _is_tone(facts: Facts, mode: LookedMode) -> bool:
@@ -263,22 +293,34 @@ def _of_channels(facts: Facts) -> Iterator[str]:
 def _of_signs(facts: Facts) -> Iterator[str]:
     """Tell of a channel that moves against all others in the lowest mode, and of one out of order.
 
-    In the lowest mode of a building or a mast all of it moves to one side, the more the higher.
+    In the lowest mode of a building or a mast all of it moves to one side, the more the higher.  That the lowest mode found is
+    the structure's, and that the channels and not the structure are odd, other modes must tell: all are those of a shear frame
+    with the channel the other way round, and not without, or with the floors in order of their motion.
     """
-    first = next((mode for mode in facts.modes if not mode.remark), None)
     moving = np.flatnonzero(facts.rms > 0.0)
-    if first is None or len(moving) < _LEAST_CHANNELS or first.frequency_hz < _ROOM_BELOW * facts.lowest_hz:
+    modes = [mode for mode in facts.modes if not mode.remark and not isinstance(mode.second, Skipped)][: len(moving)]
+    if len(moving) < _LEAST_CHANNELS or len(modes) < _LEAST_MODES:
+        return
+    first = modes[0]
+    is_lowest = all(hz > first.frequency_hz for hz in facts.peaks_hz)
+    if not is_lowest or first.frequency_hz < _ROOM_BELOW * facts.lowest_hz:
         return
     shape, slack = first.shape.real[moving], 2.0 * first.shape_std[moving]
     large = np.flatnonzero(np.abs(shape) > _OPPOSITE)
     signs = np.sign(shape[large])
     against = [int(k) for k in large[signs != np.sign(signs.sum())]]
+    by_size = [int(k) for k in moving[np.argsort(-np.abs(shape))]]
     if len(against) == 1 and len(large) >= _LEAST_CHANNELS:
-        yield (
-            f"{facts.channels[moving[against[0]]]}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): "
-            "may be reversed"
-        )
-    if against or _is_straight(np.abs(shape)):
+        at = int(moving[against[0]])
+        turned = [
+            replace(mode, shape=np.where(np.arange(len(mode.shape)) == at, -1.0, 1.0) * mode.shape) for mode in modes
+        ]
+        if _is_frame(turned, by_size) and not _is_frame(modes, by_size):
+            yield (
+                f"{facts.channels[at]}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz), and the other "
+                "way round all modes are those of a frame: may be reversed"
+            )
+    if against or _is_straight(np.abs(shape)) or not _is_frame(modes, by_size):
         return
     pairs = []
     for a, b in combinations(range(len(shape)), 2):
@@ -291,6 +333,11 @@ def _of_signs(facts: Facts) -> Iterator[str]:
             f"{', or '.join(pairs)}: may be swapped, if the channels go up or down the structure one by one: in the lowest mode "
             "they move out of order"
         )
+
+
+def _is_frame(modes: Sequence[LookedMode], order: Sequence[int]) -> bool:
+    """Test whether modes are those of a shear frame whose floors are the channels in this order, the top one first."""
+    return frame_misfit(fit_frame(modes, order, 1.0), modes, order) is None
 
 
 def _is_straight(size: Array) -> bool:

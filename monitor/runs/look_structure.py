@@ -34,18 +34,22 @@ _WINDOWS = 4
 def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
     """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole."""
     sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
-    modes = sure[: len(found.channels)]
+    taken = sorted(sure, key=lambda mode: bool(mode.doubt))[
+        : len(found.channels)
+    ]  # the lowest, those with a number first
+    modes = sorted(taken, key=lambda mode: mode.frequency_hz)
     if not modes:
         raise BadInputError(f"{', '.join(found.files)}: no mode to make a structure of; record longer, or more motion")
     doubts = []
     if unsure := [f"{mode.frequency_hz:.4g}" for mode in found.modes if not mode.remark and not _is_sure(mode)]:
         doubts.append(
-            f"Left out: {', '.join(unsure)} Hz, whose damping is not told from zero and which has no second opinion."
+            f"Left out: {', '.join(unsure)} Hz, whose damping is not told from zero or which have no second opinion."
         )
-    if beyond := sure[len(modes) :]:
+    if beyond := [f"{mode.frequency_hz:.4g}" for mode in sure if not any(mode is one for one in modes)]:
         doubts.append(
-            f"{len(sure)} modes for {len(modes)} sensors: floors without a sensor, or motion in another direction. Modes from "
-            f"{beyond[0].frequency_hz:.4g} Hz up are not in it: more sensors would tell them."
+            f"{len(sure)} modes for {len(modes)} sensors: floors without a sensor, or motion in another direction. Those at "
+            f"{', '.join(beyond)} Hz are not in it: more sensors would tell them. Until then windows show them beside the "
+            "model's, which is no fault of floors, signs or units."
         )
     if mass_kg is None:
         doubts.append(
@@ -54,8 +58,8 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
         )
     order = [int(k) for k in np.argsort(-np.abs(modes[0].shape.real))]
     total = 1.0 if mass_kg is None else mass_kg
-    frame = _fit_frame(modes, order, total)
-    misfit = _frame_misfit(frame, modes, order)
+    frame = fit_frame(modes, order, total)
+    misfit = frame_misfit(frame, modes, order)
     damping = float(np.clip(np.mean([mode.damping_ratio for mode in modes[:2]]), 1e-4, 0.99))
     if misfit is None:
         doubts += [
@@ -92,11 +96,11 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
 
 
 def _is_sure(mode: LookedMode) -> bool:
-    """Check that a mode has a second opinion, or a damping ratio that is told from zero with a confidence of 95 %."""
-    return not isinstance(mode.second, Skipped) or mode.damping_ratio > 2.0 * mode.damping_std
+    """Check that a mode has a second opinion, and a damping ratio that is told from zero with a confidence of 95 %."""
+    return not isinstance(mode.second, Skipped) and mode.damping_ratio > 2.0 * mode.damping_std
 
 
-def _fit_frame(modes: Sequence[LookedMode], order: Sequence[int], mass_kg: float) -> ShearFrame:
+def fit_frame(modes: Sequence[LookedMode], order: Sequence[int], mass_kg: float) -> ShearFrame:
     """Fit masses and stiffnesses of a shear frame to the modes, by the equations of motion.
 
     Above each story the inertia of the floors is the story's force: both are linear in masses and stiffnesses.
@@ -126,7 +130,7 @@ def _fit_frame(modes: Sequence[LookedMode], order: Sequence[int], mass_kg: float
     return ShearFrame(masses * factor, stiffness * factor, modes[0].damping_ratio)
 
 
-def _frame_misfit(frame: ShearFrame, modes: Sequence[LookedMode], order: Sequence[int]) -> str | None:
+def frame_misfit(frame: ShearFrame, modes: Sequence[LookedMode], order: Sequence[int]) -> str | None:
     """Say why a fitted frame is not taken; None where it fits the modes."""
     own = Model(frame).modes()
     for number, mode in enumerate(modes, start=1):

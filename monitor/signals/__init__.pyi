@@ -28,10 +28,12 @@ from .resampling import Conditioner as Conditioner
 from .sensor_drift import Drift as Drift
 from .sensor_health import Health as Health, HealthSettings as HealthSettings, HealthState as HealthState
 from .settings import ProcessingSettings as ProcessingSettings
+from .spectral_peaks import find_peaks as find_peaks
 from .stillness import StillState as StillState
 from .temperature import LAGS_S as LAGS_S, TemperatureSettings as TemperatureSettings
 from .welch import (
     LEAKAGE_OFFSETS as LEAKAGE_OFFSETS,
+    MAIN_LOBE_BINS as MAIN_LOBE_BINS,
     SegmentDesign as SegmentDesign,
     bin_correlation as bin_correlation,
     hann_amplitude as hann_amplitude,

@@ -7,6 +7,7 @@ J. S. Bendat, A. G. Piersol, Random Data, 4th ed., 2010, section 9.2: variance o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -51,7 +52,9 @@ def find_delays(
     """Find the channels whose delay against the channel most coherent with them grows, or differs from zero.
 
     Modes turn the phase between two channels by half a turn, whatever the frequency; a delay turns it in proportion to the
-    frequency.  Only what is significant among all channels is told.
+    frequency.  Only what is significant among all channels is told, and only where the lower and the upper frequencies, and the
+    first and the second half of the time, show it each by itself and agree: a shaker's sweep, or complex shapes, turn phases too,
+    but not alike.
 
     Parameters
     ----------
@@ -92,10 +95,12 @@ def find_delays(
         omega = np.asarray(2.0 * np.pi * step_hz * bins, dtype=float)
         # Of a phase, by Bendat and Piersol; neighbouring bins share half their data.
         weight = np.asarray(0.5 * 2.0 * independent * informative[bins, a, b])
-        delay = _delay(spectra[:, bins, a, b], whole[bins, a, b], omega, weight, stretch_s)
-        late = abs(delay.delay_s) > max(limit * delay.delay_std_s, _LEAST_DELAY / rate_hz)
-        drifts = abs(delay.drift) > max(limit * delay.drift_std, _LEAST_DELAY / (rate_hz * stretch_s))
-        if late or drifts:
+        phases = _Phases(spectra[:, bins, a, b], omega, weight, stretch_s)
+        delay, parts = _delay(phases), [_delay(part) for part in phases.parts()]
+        drifts = _is_told([(one.drift, one.drift_std) for one in (delay, *parts)], limit)
+        drifts = drifts and abs(delay.drift) > _LEAST_DELAY / (rate_hz * stretch_s)
+        late = abs(delay.delay_s) > _LEAST_DELAY / rate_hz
+        if drifts or (late and _is_told([(one.delay_s, one.delay_std_s) for one in (delay, *parts)], limit)):
             found.append(replace(delay, channel=a, against=b, drift=delay.drift if drifts else 0.0))
     return tuple(found)
 
@@ -106,14 +111,44 @@ def _coherence(spectra: Annotated[ComplexArray, "bins c c"]) -> Annotated[Array,
     return np.asarray(np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300))
 
 
-def _delay(
-    cross: Annotated[ComplexArray, "stretches k"],
-    whole: Annotated[ComplexArray, "k"],
-    omega: Annotated[Array, "k"],
-    weight: Annotated[Array, "k"],
-    stretch_s: float,
-) -> Delay:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Phases:
+    """What tells the phase between two channels in stretches of a recording."""
+
+    cross: Annotated[ComplexArray, "stretches k"]
+    """Cross-spectra."""
+    omega: Annotated[Array, "k"]
+    weight: Annotated[Array, "k"]
+    """One over the variance of a stretch's phase."""
+    stretch_s: float
+    """Time that all stretches span."""
+
+    def parts(self) -> tuple[_Phases, _Phases, _Phases, _Phases]:
+        """Return the lower and the upper frequencies, of equal information, and the first and the second half of the time."""
+        information = np.cumsum(self.weight * self.omega**2)
+        middle = int(np.clip(np.searchsorted(information, 0.5 * information[-1]), 1, len(information) - 1))
+        s = len(self.cross) // 2
+        low, high = (
+            replace(self, cross=self.cross[:, k], omega=self.omega[k], weight=self.weight[k])
+            for k in (slice(0, middle), slice(middle, None))
+        )
+        first, second = (
+            replace(self, cross=part, stretch_s=0.5 * self.stretch_s) for part in np.split(self.cross, [s])
+        )
+        return low, high, first, second
+
+
+def _is_told(values: Sequence[tuple[float, float]], limit: float) -> bool:
+    """Test that a value and those of two pairs of disjoint parts differ from zero alike, each by more than chance."""
+    (_, *parts), signs = values, {np.sign(value) for value, _ in values}
+    pairs = (parts[:2], parts[2:])
+    agree = all(abs(a - b) <= limit * np.hypot(a_std, b_std) for (a, a_std), (b, b_std) in pairs)
+    return len(signs) == 1 and agree and all(abs(value) > limit * std for value, std in values)
+
+
+def _delay(phases: _Phases) -> Delay:
     """Measure delay and drift from the cross-spectra of the stretches, and of all of them."""
+    cross, omega, weight, stretch_s = phases.cross, phases.omega, phases.weight, phases.stretch_s
     information = float(weight @ omega**2)
     # From one stretch to the next the phase turns by less than half a turn, unless the clocks differ by much.
     turned = np.angle(cross[1:] * cross[:-1].conj())
@@ -126,11 +161,11 @@ def _delay(
     excess = max(1.0, 0.5 * float((rest**2 @ weight).mean()) / len(omega))
     drift_std = float(np.sqrt(excess / (information * float(at @ at))))
     # Up to half turns, which are the modes' own.
-    slope = -0.5 * np.angle(whole**2)
+    slope = -0.5 * np.angle(cross.mean(axis=0) ** 2)
     delay = float(slope @ (weight * omega)) / information
     scatter = slope - delay * omega
     # Shapes that are complex, and forces, add to chance.
-    excess = max(1.0, float(weight @ scatter**2) * s / (len(omega) - 1))
+    excess = max(1.0, float(weight @ scatter**2) * s / max(1, len(omega) - 1))
     return Delay(0, 0, delay, float(np.sqrt(excess / (information * s))), drift, drift_std)
 
 

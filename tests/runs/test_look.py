@@ -189,6 +189,81 @@ def test_a_mode_without_second_opinion_and_certain_damping_is_no_part_of_a_struc
     assert tomllib.loads(text)["structure"]["kind"] == "shear_frame"
 
 
+def low_and_high(seconds: float, rate_hz: float) -> np.ndarray:
+    """One channel of seven low modes beneath strong ones of plates and cables far above."""
+    rng, hz = np.random.default_rng(5), np.array([*LOW_HZ, 310.0, 444.0, 590.0, 835.0])
+    forces = rng.standard_normal((round(seconds * rate_hz), hz.size)) * np.where(hz < 100.0, 1.0, 0.3)
+    poles = np.exp(2.0 * np.pi / rate_hz * hz * (-0.01 + 1j))
+    moved = [
+        lfilter([1.0, -2.0, 1.0], [1.0, -2.0 * p.real, abs(p) ** 2], f) for p, f in zip(poles, forces.T, strict=True)
+    ]
+    return np.asarray(np.sum(moved, axis=0)[:, None] + 0.01 * rng.standard_normal((len(forces), 1)))
+
+
+LOW_HZ = (12.2, 17.3, 26.0, 36.5, 44.0, 61.0, 76.5)
+
+
+def test_low_modes_of_a_fast_recording_are_found_or_named_as_peaks(tmp_path: Path) -> None:
+    t = np.arange(round(21.0 * 2400.0)) / 2400.0
+    columns = np.column_stack([t, low_and_high(21.0, 2400.0)])
+    np.savetxt(tmp_path / "fast.csv", columns, delimiter=",", header="t,a1", comments="", fmt="%.9g")
+    found = look.look([tmp_path / "fast.csv"], unit="m/s^2")
+    named = np.array([*(mode.frequency_hz for mode in found.modes), *found.peaks_hz])
+    assert [hz for hz in LOW_HZ if np.abs(named / hz - 1.0).min() > 0.03] == []
+    modes_hz = np.array([mode.frequency_hz for mode in found.modes])
+    assert sum(np.abs(modes_hz / hz - 1.0).min() < 0.03 for hz in LOW_HZ) >= 5
+    for hz in found.peaks_hz:
+        assert np.abs(modes_hz / hz - 1.0).min() > 0.01
+
+
+def test_a_record_too_short_for_modes_is_refused_with_the_peaks_of_its_spectra(tmp_path: Path) -> None:
+    t = np.arange(round(12.0 * 2400.0)) / 2400.0
+    columns = np.column_stack([t, low_and_high(12.0, 2400.0)])
+    np.savetxt(tmp_path / "brief.csv", columns, delimiter=",", header="t,a1", comments="", fmt="%.9g")
+    with pytest.raises(BadInputError, match=r"12 s, too short to state modes.*its spectra have peaks at 12\.\d, 17"):
+        look.look([tmp_path / "brief.csv"], unit="m/s^2")
+
+
+def test_a_doubtful_mode_stands_below_a_line_without_a_number(found: LookedRecording, tmp_path: Path) -> None:
+    first, second, third = found.modes
+    unsure = replace(first, damping_std=0.3 * first.damping_ratio)
+    doubtful = replace(found, modes=(unsure, second, replace(third, second=Skipped("no bell"))), peaks_hz=(1.25,))
+    assert [number for number, _ in doubtful.numbered()] == [None, 1, None]
+    lines = look.in_words(doubtful).splitlines()
+    assert lines[1].startswith("1 ")
+    assert lines[2].startswith("-- doubtful")
+    assert "not told within a factor of 3" in lines[3]
+    assert "no second opinion" in lines[4]
+    assert lines[5] == "peaks of the spectra that no mode explains: 1.25 Hz"
+    look.write_results(doubtful, tmp_path)
+    content = json.loads((tmp_path / "look.json").read_text())
+    assert [mode["mode"] for mode in content["modes"]] == [None, 1, None]
+    assert content["peaks_hz"] == [1.25]
+    page = Page((tmp_path / "look.html").read_text())
+    assert "1 mode in" in page.head
+    assert [row[0] for row in page.table("second opinion, Hz")] == ["1"]
+    assert "Peaks of the spectra that no mode explains: 1.25 Hz" in page.words
+
+
+def test_opinions_that_differ_widen_the_interval_over_both(found: LookedRecording) -> None:
+    mode = found.modes[0]
+    assert not isinstance(mode.second, Skipped)
+    apart = replace(mode.second, frequency_hz=1.02 * mode.frequency_hz)
+    wider = look.compared(replace(mode, second=apart), 3.0)
+    assert wider.differs == "frequency"
+    assert abs(apart.frequency_hz - wider.frequency_hz) < 2.0 * wider.frequency_std_hz
+    assert wider.damping_std == mode.damping_std
+    same = look.compared(mode, 3.0)
+    assert (same.differs, same.frequency_std_hz) == ("", mode.frequency_std_hz)
+
+
+def test_signs_are_doubted_only_where_all_modes_are_those_of_a_frame(found: LookedRecording, tmp_path: Path) -> None:
+    """A node of a mode, or a structure that is no frame, looks like a wrong sensor in the lowest mode alone."""
+    other = samples() @ np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.6], [0.0, 0.6, 1.0]])
+    assert "reversed" not in doubts(tmp_path, other)
+    assert "swapped" not in doubts(tmp_path, other)
+
+
 def test_what_cannot_be_looked_at_is_refused_with_the_mend(tmp_path: Path) -> None:
     with pytest.raises(MissingInputError, match="absent"):
         look.look([tmp_path / "absent.csv"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import cheby1, lfilter, sosfilt
+from scipy.signal import cheby1, chirp, lfilter, sosfilt
 
 from monitor.signals import channel_relations
 from tests.support.simulated import segments_of
@@ -38,6 +38,20 @@ def shifted(samples: np.ndarray, late_s: np.ndarray | float) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_channels_on_one_clock_give_no_delay(seed: int) -> None:
     assert delays(motion(np.random.default_rng(seed))) == ()
+
+
+@pytest.mark.parametrize(("first_hz", "last_hz"), [(1.0, 20.0), (15.0, 2.0)])
+def test_a_shakers_sweep_gives_no_delay(first_hz: float, last_hz: float) -> None:
+    """In each stretch of time it moves other frequencies, and what is left at the rest turns the phase as it likes."""
+    t = np.arange(int(300.0 * RATE_HZ)) / RATE_HZ
+    force = chirp(t, first_hz, t[-1], last_hz)
+    poles = [(r * r, 2.0 * r * np.cos(2.0 * np.pi * hz / RATE_HZ)) for hz, r in ((4.0, 0.998), (11.0, 0.997))]
+    modes = np.transpose([lfilter([1.0, -2.0, 1.0], [1.0, -b, c], force) for c, b in poles])
+    clean = modes @ np.array([[1.0, 0.8, 0.5], [0.7, -0.4, -1.0]])
+    samples = clean + 0.02 * clean.std() * np.random.default_rng(0).standard_normal(clean.shape)
+    n = len(t) // 30
+    found, step_hz = segments_of(samples, RATE_HZ, n, n // 2 + 1)
+    assert channel_relations.find_delays(found, step_hz, RATE_HZ, 300.0) == ()
 
 
 def test_a_drifting_clock_is_told_with_its_rate() -> None:

@@ -24,12 +24,21 @@ def shear_frame(floors: int, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def response(
-    hz: Array, shapes: Array, damping: float, seconds: float, rng: np.random.Generator, noise: float = 0.1
+    hz: Array,
+    shapes: Array,
+    damping: float,
+    seconds: float,
+    rng: np.random.Generator,
+    noise: float = 0.1,
+    level: Array | float = 1.0,
 ) -> Array:
-    """Acceleration by white forces on every floor, each mode an exactly sampled resonator of a discrete model, and noise."""
-    n = int(seconds * RATE_HZ)
+    """Acceleration by white forces on every floor, each mode an exactly sampled resonator of a discrete model, and noise.
+
+    `level` is that of the forces at each sample.
+    """
+    n = round(seconds * RATE_HZ)
     poles = np.exp(2.0 * np.pi / RATE_HZ * hz * (-damping + 1j * np.sqrt(1.0 - damping**2)))
-    forces = rng.standard_normal((n, len(shapes))) @ shapes
+    forces = (np.ones(n) * level)[:, None] * rng.standard_normal((n, len(shapes))) @ shapes
     modal = [
         lfilter([1.0, -2.0, 1.0], [1.0, -2.0 * p.real, abs(p) ** 2], f) for p, f in zip(poles, forces.T, strict=True)
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
@@ -12,6 +13,8 @@ from monitor.identification import SingleMode
 
 G_M_S2 = 9.80665
 """Standard gravity. [m/s^2; definition]"""
+_MOST_RATIO = 3.0
+"""Ratio of the ends of a damping ratio's interval from which the mode is doubtful. [1; convention]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,6 +38,16 @@ class LookedMode:
     """Why this may be no mode of the structure; empty where nothing speaks for that."""
 
     @property
+    def doubt(self) -> str:
+        """Why the mode is doubtful, so that it has no number; empty where it is not."""
+        if self.remark:
+            return self.remark
+        if isinstance(self.second, Skipped):
+            return f"no second opinion: {self.second.reason}"
+        low, high = (self.damping_ratio + side * 2.0 * self.damping_std for side in (-1.0, 1.0))
+        return "" if high < _MOST_RATIO * low else f"damping is not told within a factor of {_MOST_RATIO:g}"
+
+    @property
     def collinearity(self) -> float:
         """Modal phase collinearity: 1 where all channels move in phase or opposite, as a lightly damped structure does."""
         re, im = self.shape.real, self.shape.imag
@@ -51,6 +64,10 @@ class LookedBand:
     """Lowest and highest frequency of the modes that were looked for."""
     modes: ModalEstimate | Skipped
     second: tuple[SingleMode | Skipped, ...]
+    peaks_hz: tuple[float, ...]
+    """Peaks of the channels' spectra, whether or not a mode is there."""
+    step_hz: float
+    """Spacing of these spectra's frequencies."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,9 +103,16 @@ class LookedRecording:
     """Power spectral densities over time, (m/s^2)^2/Hz."""
     bands: tuple[LookedBand, ...]
     modes: tuple[LookedMode, ...]
-    """By frequency."""
+    """By frequency, doubtful ones too."""
+    peaks_hz: tuple[float, ...]
+    """Peaks of the spectra that no mode, machine or mains explains."""
     doubts: tuple[str, ...]
     """What is doubtful, one sentence each."""
+
+    def numbered(self) -> tuple[tuple[int | None, LookedMode], ...]:
+        """List the modes by frequency with their numbers; doubtful ones have none."""
+        count = itertools.count(1)
+        return tuple((None if mode.doubt else next(count), mode) for mode in self.modes)
 
     def content(self) -> dict[str, Any]:
         """Form the content of look.json, of plain values."""
@@ -113,7 +137,8 @@ class LookedRecording:
                     self.channels, self.mean_m_s2, self.rms_m_s2, self.peak_m_s2, strict=True
                 )
             ],
-            "modes": [self._mode(k, mode) for k, mode in enumerate(self.modes, start=1)],
+            "modes": [self._mode(number, mode) for number, mode in self.numbered()],
+            "peaks_hz": list(self.peaks_hz),
             "doubts": list(self.doubts),
             "bands": [
                 {
@@ -130,7 +155,7 @@ class LookedRecording:
             },
         }
 
-    def _mode(self, number: int, mode: LookedMode) -> dict[str, Any]:
+    def _mode(self, number: int | None, mode: LookedMode) -> dict[str, Any]:
         second = mode.second
         return {
             "mode": number,
@@ -145,4 +170,5 @@ class LookedRecording:
             "second_opinion": {"skipped": second.reason} if isinstance(second, Skipped) else asdict(second),
             "differs": mode.differs,
             "remark": mode.remark,
+            "doubt": mode.doubt,
         }

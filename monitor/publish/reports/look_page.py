@@ -18,6 +18,8 @@ _MOST_POINTS = 700
 """Most points of a spectrum's line; of the bins that fall on one the strongest is drawn. [count; cost]"""
 _MOST_ROWS = 200
 """Most rows of a spectrogram. [count; cost]"""
+_MOST_PEAKS = 20
+"""Most peaks without a mode that are named in words. [count; judgement: a line]"""
 _BEYOND_MODES = 1.5
 """Highest frequency of the diagrams, over that of the highest mode. [1; judgement]"""
 _QUANTILES = (0.05, 0.999)
@@ -36,7 +38,8 @@ def look_sheet(found: LookedRecording) -> Sheet:
     top_hz = float(min(found.hz[-1], _BEYOND_MODES * highest))
     files = ", ".join(Path(name).name for name in found.files)
     kind, word = ("doubtful", "doubts") if found.doubts else ("normal", "looked at")
-    count = f"{len(found.modes)} {'mode' if len(found.modes) == 1 else 'modes'}"
+    sure = sum(number is not None for number, _ in found.numbered())
+    count = f"{sure} {'mode' if sure == 1 else 'modes'}"
     sheet = Sheet(f"Look: {files}", files, kind, word, headline=f"{count} in {files}")
     _head(sheet, found)
     _modes(sheet, found)
@@ -60,10 +63,24 @@ def look_sheet(found: LookedRecording) -> Sheet:
 
 def mode_rows(found: LookedRecording) -> list[list[str]]:
     """Write the table of modes: number, frequency, damping, both of the second opinion, and what is to say."""
-    return [
-        [str(number), *_intervals(mode), *_intervals(mode.second), _says(mode)]
-        for number, mode in enumerate(found.modes, start=1)
-    ]
+    return [_row(str(number), mode) for number, mode in found.numbered() if number is not None]
+
+
+def doubtful_rows(found: LookedRecording) -> list[list[str]]:
+    """Write the doubtful modes, which stand below that table, without a number."""
+    return [_row("", mode) for number, mode in found.numbered() if number is None]
+
+
+def peaks_in_words(found: LookedRecording) -> str:
+    """Name the peaks of the spectra without a mode, the lowest of many; empty where there are none."""
+    named = ", ".join(f"{hz:.4g}" for hz in found.peaks_hz[:_MOST_PEAKS])
+    more = len(found.peaks_hz) - _MOST_PEAKS
+    rest = f", and {more} higher ones (look.json)" if more > 0 else ""
+    return f"peaks of the spectra that no mode explains: {named} Hz{rest}" if named else ""
+
+
+def _row(number: str, mode: LookedMode) -> list[str]:
+    return [number, *_intervals(mode), *_intervals(mode.second), _says(mode)]
 
 
 def _intervals(mode: LookedMode | SingleMode | Skipped) -> tuple[str, str]:
@@ -76,11 +93,9 @@ def _intervals(mode: LookedMode | SingleMode | Skipped) -> tuple[str, str]:
 
 def _says(mode: LookedMode) -> str:
     """Say what is to know of a mode beside its numbers."""
-    said = [mode.remark] if mode.remark else []
+    said = [mode.doubt] if mode.doubt else []
     if mode.differs:
-        said.append(f"the two opinions differ in {mode.differs}")
-    if isinstance(mode.second, Skipped):
-        said.append(f"no second opinion: {mode.second.reason}")
+        said.append(f"the two opinions differ in {mode.differs}: its interval is wider for that")
     if mode.collinearity < 0.9:
         said.append("the shape is complex")
     return "; ".join(said)
@@ -109,14 +124,22 @@ def _duration(seconds: float) -> str:
 
 def _modes(sheet: Sheet, found: LookedRecording) -> None:
     sheet.section("Modes")
-    if not found.modes:
+    rows, below = mode_rows(found), doubtful_rows(found)
+    if not rows and below:
+        sheet.text("None that is sure.")
+    elif not rows:
         reasons = {band.modes.reason for band in found.bands if isinstance(band.modes, Skipped)}
         sheet.text(f"None found: {'; '.join(sorted(reasons)) or 'the record is too short'}.")
-        return
     head = ["mode", "#frequency, Hz", "#damping, %", "#second opinion, Hz", "#second opinion, %", "remark"]
-    rows = mode_rows(found)
     shown = len(head) if any(row[-1] for row in rows) else len(head) - 1
     sheet.table(head[:shown], [row[:shown] for row in rows])
+    if below:
+        sheet.text("Doubtful: modes that one opinion alone shows, or whose damping is hardly told.")
+        sheet.table(head[1:], [row[1:] for row in below])
+    words = peaks_in_words(found)
+    sheet.text(words[:1].upper() + words[1:])
+    if not found.modes:
+        return
     sheet.note(
         "Chosen without a model: poles of the stochastic subspace identification that stay the same over its orders, refined by "
         "maximum likelihood where there are enough data. The second opinion fits the spectrum about each peak alone "
@@ -129,8 +152,8 @@ def _shapes(sheet: Sheet, found: LookedRecording) -> None:
     if not found.modes or len(found.channels) < 2:
         return
     c, charts = len(found.channels), []
-    for number, mode in enumerate(found.modes, start=1):
-        title = f"mode {number}: {mode.frequency_hz:.4g} Hz"
+    for number, mode in found.numbered():
+        title = f"{f'mode {number}' if number else 'doubtful'}: {mode.frequency_hz:.4g} Hz"
         chart = Chart(title, (-0.3, c - 0.7), (-1.15, 1.15), x_names=found.channels).level(0.0, "measured dashed")
         chart.line(np.arange(1.0 * c), mode.shape.real).dots(np.arange(1.0 * c), mode.shape.real, 2.0 * mode.shape_std)
         charts.append(chart)
