@@ -155,7 +155,7 @@ class FeatureModel:
         return Left(_scaled(values, log=self.log) - expected, self.variance(x), law)
 
     def variance(self, x: Annotated[Array, "w k"]) -> Annotated[Array, "w"]:
-        """Compute the variance of a reading about the law at values of the functions, the larger the less its own law is known."""
+        """Compute the variance of a reading about the law at values of the functions, larger where its own law is less known."""
         ln, error = self.scatter.predict(x, self.basis.spread)
         return np.asarray(np.exp(np.clip(ln, *self.scatter_range) + 0.5 * error))
 
