@@ -207,7 +207,7 @@ def test_low_modes_of_a_fast_recording_are_found_or_named_as_peaks(tmp_path: Pat
     t = np.arange(round(21.0 * 2400.0)) / 2400.0
     columns = np.column_stack([t, low_and_high(21.0, 2400.0)])
     np.savetxt(tmp_path / "fast.csv", columns, delimiter=",", header="t,a1", comments="", fmt="%.9g")
-    found = look.look([tmp_path / "fast.csv"], unit="m/s^2")
+    found = look.look([tmp_path / "fast.csv"], Options(unit="m/s^2"))
     named = np.array([*(mode.frequency_hz for mode in found.modes), *found.peaks_hz])
     assert [hz for hz in LOW_HZ if np.abs(named / hz - 1.0).min() > 0.03] == []
     modes_hz = np.array([mode.frequency_hz for mode in found.modes])
@@ -221,7 +221,7 @@ def test_a_record_too_short_for_modes_is_refused_with_the_peaks_of_its_spectra(t
     columns = np.column_stack([t, low_and_high(12.0, 2400.0)])
     np.savetxt(tmp_path / "brief.csv", columns, delimiter=",", header="t,a1", comments="", fmt="%.9g")
     with pytest.raises(BadInputError, match=r"12 s, too short to state modes.*its spectra have peaks at 12\.\d, 17"):
-        look.look([tmp_path / "brief.csv"], unit="m/s^2")
+        look.look([tmp_path / "brief.csv"], Options(unit="m/s^2"))
 
 
 def test_a_doubtful_mode_stands_below_a_line_without_a_number(found: LookedRecording, tmp_path: Path) -> None:
