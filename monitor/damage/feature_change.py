@@ -10,9 +10,8 @@ extrapolated: what is announced is what a healthy structure would show less ofte
 
 References
 ----------
-H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; J. Schaefer, K. Strimmer, Stat. Appl. Genet.
-Mol. Biol. 4 (2005) 32 (shrinkage of correlations); J. Pickands,
-Ann. Statist. 3 (1975) 119-131 (excesses over a high level are exponential).
+H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; J. Schaefer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32
+(shrinkage of correlations); J. Pickands, Ann. Statist. 3 (1975) 119-131 (excesses over a high level are exponential).
 """
 
 from __future__ import annotations
@@ -42,6 +41,10 @@ _TRUSTED = 2
 factor of 2; one alone leaves nothing to be found after 6 days, eight announced half a day of a healthy mast's 9]"""
 _YEAR_NS = 365.25 * 86400e9
 """A year. [ns; definition]"""
+_LEAST_CHANCE = 1e-300
+"""Least chance that is told from none. [1; rounding]"""
+_MOST_YEARS = 1e9
+"""Rarest that is told from never. [years; rounding]"""
 _OVER = 0.05
 """Chance at which what an announcement began with may be over. [1; convention: 95 %]"""
 
@@ -133,7 +136,8 @@ class Rate:
     def years(self, evidence: Annotated[Array, "w"]) -> Annotated[Array, "w"]:
         """Compute the mean time between episodes that reach an evidence; 0 below the level."""
         excess = np.maximum(evidence - self.level, 0.0) / (self.count * self.mean)
-        return np.where(evidence > self.level, (1.0 + excess) ** self.count / self.per_year, 0.0)
+        ln = np.minimum(self.count * np.log1p(excess) - np.log(self.per_year), np.log(_MOST_YEARS))
+        return np.where(evidence > self.level, np.exp(ln), 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -364,12 +368,13 @@ def _chance(
     std = np.sqrt(np.diagonal(each, axis1=1, axis2=2))
     alone, beside = x / std, turned / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
     whole = alone.sum(axis=1) / np.sqrt((each / std[:, :, None] / std[:, None, :]).sum(axis=(1, 2)))
-    by_alone = student.logsf(np.abs(np.column_stack([alone, whole])).max(axis=1), freedom[0]) + np.log(k + 1.0)
-    by_beside = student.logsf(np.abs(beside).max(axis=1), max(freedom[1] - k + 1.0, 1.0)) + np.log(float(k))
     left = max(freedom[2] - k + 1.0, 1.0)
-    by_all = fisher.logsf((turned * x).sum(axis=1) * left / (freedom[2] * k), k, left)
-    least = np.minimum(np.minimum(by_alone, by_beside) + np.log(2.0), by_all)
-    return np.minimum(least + np.log(3.0), 0.0), alone
+    chances = (
+        (k + 1.0) * student.sf(np.abs(np.column_stack([alone, whole])).max(axis=1), freedom[0]),
+        float(k) * student.sf(np.abs(beside).max(axis=1), max(freedom[1] - k + 1.0, 1.0)),
+        0.5 * fisher.sf((turned * x).sum(axis=1) * left / (freedom[2] * k), k, left),
+    )
+    return np.log(np.clip(6.0 * np.minimum.reduce(chances), _LEAST_CHANCE, 1.0)), alone
 
 
 def _rate(evidence: Annotated[Array, "w"], length: int, years: float) -> Rate:

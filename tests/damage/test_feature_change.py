@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -120,3 +122,41 @@ def test_a_feature_alone_is_compared_with_nothing() -> None:
     gone = {name: np.where(np.arange(values.size) > 1300, np.nan, values) for name, values in table.features.items()}
     _, verdicts = judge_features(FeatureTable(table.t_ns, gone | {"f1": table.features["f1"]}, {}), 80 * 24 * HOUR_NS)
     assert verdicts[-1].skipped is not None and verdicts[-1].residual_sigma == (None,) * 4
+
+
+def test_a_change_beyond_all_reason_is_as_rare_as_can_be_told() -> None:
+    table = bridge(51)
+    gone = {
+        name: np.where(table.t_ns > 100 * 24 * HOUR_NS, 0.5 * values, values) for name, values in table.features.items()
+    }
+    judge, verdicts = judge_features(FeatureTable(table.t_ns, gone, table.covariates), 80 * 24 * HOUR_NS)
+    assert verdicts[-1].level is Level.WARNING and verdicts[-1].years == pytest.approx(1e9 / len(judge.looks))
+    assert all(np.isfinite(v.years) for v in verdicts)
+
+
+def test_a_rate_of_false_announcements_sets_the_limit() -> None:
+    """Of readings that are rare once in so many years, a higher rate announces as many or more."""
+    table, until_ns = bridge(52, 0.004), 80 * 24 * HOUR_NS
+    told = [
+        sum(v.level is not Level.NORMAL for v in judge_features(table, until_ns, false_announcements_per_year=rate)[1])
+        for rate in (0.01, 1.0, 100.0)
+    ]
+    assert told[0] <= told[1] <= told[2] and told[0] < told[2]
+
+
+def test_a_feature_that_is_gone_leaves_the_others_judged() -> None:
+    table = bridge(53, 0.02)
+    gone = {**table.features, "f2": np.where(table.t_ns > 90 * 24 * HOUR_NS, np.nan, table.features["f2"])}
+    _, verdicts = judge_features(FeatureTable(table.t_ns, gone, table.covariates), 80 * 24 * HOUR_NS)
+    delay_h = first_warning_h(verdicts)
+    assert delay_h is not None and 0.0 < delay_h < 72.0
+    assert verdicts[-1].changed == ("f1",)
+
+
+def test_the_size_of_a_change_is_told_with_its_interval_and_its_begin() -> None:
+    _, verdicts = judge_features(bridge(54, 0.02), 80 * 24 * HOUR_NS)
+    first = next(v for v in verdicts if v.level is Level.WARNING)
+    begin = np.datetime64(first.t_ns, "ns").astype("datetime64[m]")
+    size, std = (float(text) for text in re.findall(r"f1 ([-+.\d]+) \+- ([.\d]+) %", verdicts[-1].reason)[0])
+    assert f"since {begin}Z" in verdicts[-1].reason
+    assert abs(size + 2.0) < 3.0 * std < 1.0
