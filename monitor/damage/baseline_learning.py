@@ -204,7 +204,7 @@ def learn_modal_baseline(
     kinds += [_Kind(changes(slice(m, None)), _of_shapes(compensation), alike=False)] if c > 1 else []
     first = _record_scatter(healthy, kinds)
     # The laws are as sure as windows really scatter, whatever they state.
-    real = np.split(np.sqrt(first.total / first.stated), [m])
+    real = np.split(np.sqrt(first.total / np.maximum(first.stated, np.finfo(float).tiny)), [m])
     kinds = [kind.scaled(by) for kind, by in zip(kinds, real, strict=False)]
     scatter = _record_scatter(healthy, kinds, first.stated)
     covariance = scatter.of_mean(mean.deviations.T @ mean.deviations)

@@ -88,7 +88,9 @@ def learn_scatter(
         shares = (np.abs(ends[:, None] - ends[apart[out]]) < window_ns).any(axis=1)
         rest = np.flatnonzero(~shares & ~np.isin(record, fold))
         expected, variance = predict(rest, apart[out])
-        left[out] = (values[apart[out]] - expected) / np.sqrt(stated + variance)
+        # Of channels that are copies rounding leaves a variance of none, or less.
+        std = np.sqrt(np.maximum(stated + np.maximum(variance, 0.0), np.finfo(float).tiny))
+        left[out] = (values[apart[out]] - expected) / std
     # The rest's mean has an error of its own, by which what is left out differs more.
     left /= np.sqrt(1.0 + 1.0 / (names.size * (1.0 - 1.0 / len(folds))))
     ratio, freedom = _ratio(left, np.searchsorted(names, record[apart]), names.size)
