@@ -147,9 +147,13 @@ def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
     first = of[ACCELERATION][0]
     samples = _laid_out(path, of.pop(ACCELERATION), first, None)
     ground, force = (_laid_out(path, of.pop(topic), first, len(samples)) for topic in (GROUND, FORCE))
-    beside = {
-        topic.strip("/"): blocks for topic, blocks in of.items() if blocks[0].sample_rate_hz == first.sample_rate_hz
-    }
+    beside = {}
+    for topic, blocks in of.items():
+        if blocks[0].sample_rate_hz == first.sample_rate_hz:
+            beside[topic.strip("/")] = _laid_out(path, blocks, first, len(samples))
+        else:
+            rates = f"{blocks[0].sample_rate_hz:g} Hz, and the accelerations {first.sample_rate_hz:g} Hz"
+            on_warning(f"{path}: {topic} is left out: it has {rates}")
     return Recording(
         samples,
         first.sample_rate_hz,
@@ -157,7 +161,7 @@ def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
         first.t_ns,
         ground=ground[:, 0] if ground.size else None,
         force=force if force.size else None,
-        covariates={name: _laid_out(path, blocks, first, len(samples)) for name, blocks in beside.items()},
+        covariates=beside,
     )
 
 

@@ -159,6 +159,19 @@ def test_a_recording_is_laid_out_with_its_gaps(tmp_path: Path, cut: Cut) -> None
         shm.read(tmp_path / "words.txt")
 
 
+def test_a_quantity_of_another_rate_is_left_out_with_a_word(tmp_path: Path, cut: Cut) -> None:
+    values = np.arange(600.0).reshape(200, 3)
+    of = {"topic": "/wind", "channels": ("u", "v", "w"), "unit": "m/s"}
+    for rate_hz, beside in ((100.0, ["wind"]), (50.0, [])):
+        wind = [replace(b, **of) for b in cut(values, rate_hz, (50,))]
+        write_blocks(tmp_path / "w.mcap", [*cut(values, 100.0, (50,)), *wind])
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            assert list(shm.read(tmp_path / "w.mcap").covariates) == beside
+        left = [str(one.message) for one in told if "/wind is left out: it has 50 Hz" in str(one.message)]
+        assert len(left) == (not beside)
+
+
 def test_a_simulation_knows_damage_ground_and_wrong_effects() -> None:
     frame = shm.structure(masses_kg=[1.0, 1.0], stiffness_n_per_m=[2e3, 2e3])
     plain = shm.simulate(frame, duration_s=2.0, rate_hz=100.0, excitation="ground", seed=1)
