@@ -114,7 +114,7 @@ class AlarmState:
     """State of all alarms between windows."""
 
     stories: tuple[StoryState, ...]
-    """Alarms of the stories, then the alarm of the structure as a whole."""
+    """Alarms of the parts, as `Parts.name` numbers them, then the alarm of the structure as a whole."""
     history: History
     shapes: History | None = None
     """History of the mode shapes, where the modes alone are judged."""
@@ -123,7 +123,7 @@ class AlarmState:
 def start(n_parts: int, window_s: float = 400.0, n_channels: int = 0) -> AlarmState:
     """Return the state before the first window of `window_s` seconds: readings further apart share no data.
 
-    `n_channels` is the number of components of the parts' shapes, where these are judged too.
+    `n_channels` is the number of components of the parts' shapes, where these are judged too, and the spectrum after them.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def start(n_parts: int, window_s: float = 400.0, n_channels: int = 0) -> AlarmSt
     """
     history, n_alarms, shapes = sequential_test.begin(n_parts, window_s), n_parts, None
     if n_channels:
-        n_alarms += n_parts
+        n_alarms += n_parts + 1
         shapes = sequential_test.begin(n_parts * n_channels, window_s, variances_only=True)
     return AlarmState((StoryState(),) * (n_alarms + 1), history, shapes)
 
@@ -255,11 +255,11 @@ def carry_over(state: AlarmState, before: tuple[StoryState, ...], *, alike: bool
     ['normal', 'normal', 'warning']
     """
     (*old, whole), now = before, list(state.stories)
-    kinds = 1 if state.shapes is None else 2  # modes, then their shapes
+    kinds = 1 if state.shapes is None else 2  # modes, then their shapes, then the spectrum by itself
     n_old, n_new = len(old) // kinds, (len(now) - 1) // kinds
     for k, alarm in enumerate(old):
         kind, part = divmod(k, max(n_old, 1))
-        if alike and kind < kinds and part < n_new:
+        if alike and part < n_new and kind * n_new + part < len(now) - 1:
             now[kind * n_new + part] = alarm
         else:
             whole = max(whole, replace(alarm, shelved=None), key=lambda a: (a.announced.rank, a.unacknowledged))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, CrossSpectra, ModalEstimate, ModalReading, Skipped, Window
 from monitor.damage import alarm
-from monitor.damage.alarm import AlarmState, StoryState
+from monitor.damage.alarm import AlarmState
 from monitor.damage.baseline import ModalBaseline
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import LEVEL
@@ -57,8 +57,7 @@ class ModalStiffness:
 
     def start(self, window_s: float) -> AlarmState:
         """Return the state of the alarms before the first window."""
-        state = alarm.start(self.parts.n_modes, window_s, len(self.parts.channels))
-        return replace(state, stories=(StoryState(), *state.stories))  # that of the spectrum
+        return alarm.start(self.parts.n_modes, window_s, len(self.parts.channels))
 
     def view(self, channels: tuple[int, ...]) -> View:
         """Return what windows of some channels (0 = first) are judged with."""
