@@ -38,6 +38,7 @@ def named(content: dict[str, Any]) -> set[str]:
     return {test["what"] for test in content["tests"] if test["significant"] and test["kind"] != "level"}
 
 
+@pytest.mark.engine
 def test_what_differs_within_the_records_may_be_one_of_healthy_days(healthy: list[Path], tmp_path: Path) -> None:
     alone = compare.compare(healthy[0], healthy[1])
     assert alone["differs"] is True
