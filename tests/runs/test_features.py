@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from monitor.core import utc_ns
 from monitor.damage import FeatureTable
+from monitor.publish import LINE_SCHEMA
 from monitor.runs import Options, features, zone_named
 from tests.support.samples import Cli
 
@@ -45,12 +47,19 @@ def test_a_table_is_judged_and_bad_rows_are_told_by_line(table: Path, main: Cli,
     lines = [json.loads(line) for line in (tmp_path / "out/results.jsonl").read_text().splitlines()]
     summary = json.loads((tmp_path / "out/summary.json").read_text())
     assert json.loads(done.stdout) == {**summary, "out": str(tmp_path / "out")}
-    assert list(lines[0]) == ["t_end_ns", "time", "residual_sigma", "alarm", "years", "skipped"]
-    assert list(lines[0]["alarm"]) == ["level", "features", "reason"]
+    keys = {"t_end_ns", "residual_sigma", "feature_change", "feature_change_std", "alarm", "years", "skipped"}
+    assert keys < set(lines[0]) == set(LINE_SCHEMA["properties"])
+    assert {"level", "features", "reason"} < set(lines[0]["alarm"])
     assert lines[-1]["alarm"]["level"] == "warning" and lines[-1]["alarm"]["features"] == ["f1"]
     first = next(line["t_end_ns"] for line in lines if line["alarm"]["level"] != "normal")
     assert first * 1e-9 >= 1_700_000_000 + 3600 * 350
     assert summary["features"][0]["variance_explained"] > 0.5
+    assert done.returncode == 0 and summary["state"] == "warning"
+    size, half = (
+        float(x) for x in re.findall(r"f1 ([-.\d]+) ± ([.\d]+) %, warning since 2023-11-29", summary["headline"])[0]
+    )
+    assert abs(size + 3.0) < 1.5 * half < 0.5
+    assert [(a["part"], a["level"], a["t_first_ns"]) for a in summary["alarms"]] == [(1, "warning", first)]
 
 
 def test_times_without_a_zone_are_of_the_zone_that_is_named(tmp_path: Path) -> None:
