@@ -534,14 +534,14 @@ class WindowResult:
     """Channels of which the window makes no use; their components of `modes.shapes` are NaN."""
     modal: ModalReading | None = None
     """Change of the modes, where they are all that is judged."""
-    features: FeatureReading | None = None
-    """Change of the features, where these are judged."""
     motion: Annotated[Array, "c c"] | None = None
     """Covariance of the accelerations, (m/s^2)^2; None where not all channels were judged."""
     spectra: CrossSpectra | None = None
     """Of a window of modes alone without a baseline, for calibration."""
     rates_hz: tuple[float, float] | None = None
     """Rate that the source states, and its rate by the timestamps, Hz."""
+    features: FeatureReading | None = None
+    """Change of the features, where these are judged."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,8 @@ _OVER = 0.05
 """Chance at which what an announcement began with may be over. [1; convention: 95 %]"""
 _ALARM = warning_only(AlarmSettings(min_loss=0.0))
 """Any change of a feature is announced that is rare enough, and none is an `alarm` by its size. [settings; definition]"""
+_NONE = Skipped("no feature at this time")
+"""Why a reading is not judged. [words]"""
 _UNJUDGED = "unchanged: the features were not judged"
 """What an alarm says where no feature was measured. [words]"""
 
@@ -237,10 +239,10 @@ def _judge(
     alarms, began_ns, judged_ns = (StoryState(),) * (k + 2), (0,) * (k + 1), [0] * _IN_A_ROW
     for row in range(first, table.t_ns.size):
         on_progress(Step("judges the rows", row, table.t_ns.size, "rows"))
-        t_ns, none = int(table.t_ns[row]), Skipped("no feature at this time")
+        t_ns, skipped = int(table.t_ns[row]), None if np.isfinite(left.residual[row]).any() else _NONE
         reading = FeatureReading(np.full(k, np.nan), np.eye(k), names=judge.parts.features, sigma=sigma[row], years=0.0)
-        if np.isfinite(left.residual[row]).any():
-            judged_ns, none = [*judged_ns[1:], t_ns], None
+        if skipped is None:
+            judged_ns = [*judged_ns[1:], t_ns]
             years, own = np.array([one.years[row] for one in seen]), np.array([one.own[row] for one in seen])
             lasting = float((years * confirms).max(initial=0.0))
             counts = confirms if lasting >= judge.least_years else np.ones_like(confirms)
@@ -251,13 +253,12 @@ def _judge(
             reading = replace(reading, loss=-size, covariance=np.diag(std**2), years=lasting / len(seen), beyond=beyond)
             is_own = (own * counts[:, None]).max(axis=0) >= judge.least_years
             alarms, began_ns = _update(alarms, began_ns, judge, reading, is_own, (float(years[at]), lasting), judged_ns)
-        alarm = summarize(
-            alarms, {} if none else _words(judge.parts, reading, began_ns), _UNJUDGED if none else "", judge.parts
-        )
+        says, otherwise = ({}, _UNJUDGED) if skipped else (_words(judge.parts, reading, began_ns), "")
+        alarm = summarize(alarms, says, otherwise, judge.parts)
         if reading.beyond:
             alarm = replace(alarm, reason=f"{alarm.reason}; {reading.beyond}")
         known = {name: values[row] for name, values in late.items() if np.isfinite(values[row]).all()}
-        yield WindowResult(row - first, t_ns, 0.0, None, None, None, alarm, none, covariates=known, features=reading)
+        yield WindowResult(row - first, t_ns, 0.0, None, None, None, alarm, skipped, covariates=known, features=reading)
 
 
 def _update(

@@ -144,7 +144,7 @@ def _known(judge: FeatureJudge) -> Known:
         names=(*parts.features, TOGETHER),
         has_baseline=True,
         alarm_loss=AlarmSettings().alarm_loss,
-        misfit=float(np.finfo(float).max),
+        misfit=1.0,
         n_modes=len(parts.features),
         relative=parts.relative,
     )
