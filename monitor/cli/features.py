@@ -69,4 +69,5 @@ def features(
     ]
     lines.append(f"{summary['judged']} rows judged, {summary['skipped']} not; {summary['announced']} announced")
     lines += [f"{State(summary['state']).words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])]
-    say("\n".join([*lines, f"results in {out}"]), {**summary, "out": str(out)}, as_json)
+    look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
+    say("\n".join([*lines, f"results in {out}{look}"]), {**summary, "out": str(out)}, as_json)

@@ -49,7 +49,13 @@ from .judge import Memory as Memory
 from .level import drift_m as drift_m, level_db as level_db
 from .modal_stiffness import ModalStiffness as ModalStiffness
 from .origin import Origin as Origin
-from .parts import ALONE as ALONE, TOGETHER as TOGETHER, Parts as Parts, modal_parts as modal_parts
+from .parts import (
+    ALONE as ALONE,
+    TOGETHER as TOGETHER,
+    Features as Features,
+    Parts as Parts,
+    modal_parts as modal_parts,
+)
 from .presence import Presence as Presence, Sighting as Sighting, learn_presence as learn_presence
 from .quantities import Quantities as Quantities, View as View
 from .spectrum import HealthySpectrum as HealthySpectrum, learn_spectrum as learn_spectrum

@@ -75,4 +75,4 @@ from .viewer.diagnosis_view import write_view as write_view
 from .viewer.event_motion import write_motion as write_motion
 from .viewer.output import Output as Output
 from .viewer.publisher import RerunPublisher as RerunPublisher
-from .viewer.scene import make_scene as make_scene
+from .viewer.scene import Scene as Scene, feature_scene as feature_scene, make_scene as make_scene

@@ -24,11 +24,12 @@ from monitor.damage import (
     assess,
     judge_features,
 )
-from monitor.publish import Summary, facts_of_line, to_json, window_line
+from monitor.publish import Summary, facts_of_line, feature_scene, to_json, window_line
 from monitor.runs.readers import formats
 from monitor.runs.readers.base import File, Limits, Options, read_bytes
 from monitor.runs.readers.table import Table
 from monitor.runs.replay import ResultFiles
+from monitor.runs.viewer import close_view, open_view
 
 _NEAR_ZERO = 0.5
 """Smallest reading over the median one, in size, from which none is near zero. [ratio; judgement]"""
@@ -62,19 +63,30 @@ def features(
         raise BadInputError(f"{path}: {error}: choose a later --train-until, or leave the feature out") from error
     if not results:
         raise BadInputError(f"{path}: no row is later than --train-until: nothing to judge")
-    return _publish(_known(judge), judge, results, out, false_announcements_per_year)
+    return _publish(path, judge, results, out, false_announcements_per_year, on_warning)
 
 
 def _publish(
-    known: Known, judge: FeatureJudge, results: Sequence[WindowResult], out: Path, per_year: float
+    path: Path,
+    judge: FeatureJudge,
+    results: Sequence[WindowResult],
+    out: Path,
+    per_year: float,
+    on_warning: Callable[[str], None],
 ) -> dict[str, Any]:
     """Write the results as those of a replay, and return the content of summary.json."""
+    known, learned = _known(judge), {c.name: LearnedRange("", *c.range) for c in judge.models[0].basis.covariates}
     begun, summary, written = time.monotonic(), Summary(), ResultFiles(out)
+    scene = feature_scene(path.name, judge.parts, learned)
+    view = open_view(scene, file=out / "live.rrd", on_warning=on_warning)
     try:
         for result in results:
             line = window_line(result)
             summary.window(result, facts_of_line(line), known)
             written.window(result, to_json(line))
+            if view is not None:
+                view.state(assess(summary.course, known))
+                view.window(result, "")
         data_s = (results[-1].t_end_ns - results[0].t_end_ns) * 1e-9
         content = summary.content(data_s / max(time.monotonic() - begun, 1e-9), [])
         content = {
@@ -83,16 +95,17 @@ def _publish(
             "judged": content["windows"] - content["skipped"],
             "announced": sum(r.alarm.level is not Level.NORMAL for r in results),
             "known": asdict(known),
-            "covariates_learned": {
-                c.name: LearnedRange("", *c.range)._asdict() for c in judge.models[0].basis.covariates
-            },
+            "covariates_learned": {name: of._asdict() for name, of in learned.items()},
             "thresholds": {"false_announcements_per_year": per_year},
             "features": [_learned(model) for model in judge.models],
         }
         written.close(content, [])
     except BaseException:
         written.abandon()
+        if view is not None:
+            view.abort()
         raise
+    close_view(view, out / "live.rrd", on_warning)
     return content
 
 

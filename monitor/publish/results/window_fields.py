@@ -125,7 +125,7 @@ def _n_modes(result: WindowResult) -> int:
     return 0 if result.modes is None else len(result.modes.frequencies_hz)
 
 
-def _as_shown(name: str, value: float, result: WindowResult) -> float:
+def shown_as(name: str, value: float, result: WindowResult) -> float:
     """Return a covariate's value as it is published: the level as RMS drift in m; beside features as it was given."""
     return drift_m(value) if name == LEVEL and result.features is None else value
 
@@ -212,7 +212,7 @@ FIELDS = (
     Field("temperature_effect", Kind.NUMBERS, _numbers("damage", "temperature_effect"),
           "Change of ln stiffness of each story that the temperature explains and that was taken out."),
     Field("covariates", Kind.BY_NAME,
-          lambda r: {name: rounded(_as_shown(name, values[0], r)) for name, values in r.covariates.items()},
+          lambda r: {name: rounded(shown_as(name, values[0], r)) for name, values in r.covariates.items()},
           "Value of each covariate (`level`: RMS story drift, m).", shown=True),
     Field("covariate_effect", Kind.LISTS_BY_NAME,
           lambda r: r.damage and {name: rounded(part) for name, part in r.damage.covariate_effect.items()},
