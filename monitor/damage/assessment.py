@@ -687,10 +687,9 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
-        size = _change(loss, known) if loss.modal else _size(loss, known)
-        says.append(
-            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({size}) ended {utc(loss.t_last_ns or 0)} UTC"
-        )
+        name, size = _name(loss.story, known), _change(loss, known) if loss.modal else _size(loss, known)
+        name += "" if size == name else f" ({size})"
+        says.append(f"an earlier {loss.level.value} of {name} ended {utc(loss.t_last_ns or 0)} UTC")
     return [_sentence(sentence) for sentence in says]
 
 

@@ -21,6 +21,7 @@ from .reports.look_page import (
     peaks_in_words as peaks_in_words,
     write_look as write_look,
 )
+from .reports.period_notes import read_summary as read_summary
 from .reports.period_report import read_period as read_period, write_period as write_period
 from .results.arrow_table import WINDOWS_SCHEMA as WINDOWS_SCHEMA, windows_table as windows_table
 from .results.event_lines import (
