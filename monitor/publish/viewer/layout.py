@@ -138,7 +138,7 @@ def _of_features(scene: Scene, names: Sequence[str]) -> rrb.Horizontal:
     each = [
         plot(f"/modes/sigma/{k}", f"{name}: each reading, healthy σ", legend=False) for k, name in enumerate(names, 1)
     ]
-    more = [rrb.Grid(*each, grid_columns=2, name="Readings"), *_covariates(scene)]
+    more: list[rrb.Container | rrb.View] = [rrb.Grid(*each, grid_columns=2, name="Readings"), *_covariates(scene)]
     right = rrb.Vertical(
         plot("/modes/change", "Change since the healthy time, less what covariates explain (% where relative)"),
         rrb.StateTimelineView(origin="/state", contents="/state", name="State over time", time_view=ALL_TIME),

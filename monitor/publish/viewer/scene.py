@@ -254,10 +254,10 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
         shown = len(head) if changes else len(head) - 1
         lines += markdown_table(head[:shown], [row[:shown] for row in table])
     if scene.features is not None and result.features is not None and result.skipped is None:
-        rows = zip(result.features.change.tolist(), result.features.change_std.tolist(), strict=True)
+        sizes = zip(result.features.change.tolist(), result.features.change_std.tolist(), strict=True)
         told = [
             (scene.features.name(k), scene.features.size(k, change, std) if np.isfinite(change) else "-")
-            for k, (change, std) in enumerate(rows, 1)
+            for k, (change, std) in enumerate(sizes, 1)
         ]
         lines += markdown_table(("feature", "change, less what covariates explain (± 2σ)"), told)
     length = f"window of {result.window_s:g} s to" if result.window_s else "reading of"
