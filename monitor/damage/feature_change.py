@@ -272,18 +272,19 @@ def _update(
 ) -> tuple[tuple[StoryState, ...], tuple[int, ...]]:
     """Update the alarms by the evidence of all tests, `years` of any and of several readings in a row.
 
-    It is that of the features whose own test says as much and of those announced that still differ; else of all together.  The
+    It is that of the features whose own test says as much and of those confirmed that still differ; else of all together.  The
     score is the logarithm of years.  A level ends when so many readings in a row say surely less as confirm one.
     """
     k, t_ns = is_own.size, judged_ns[-1]
     score, lasting = (float(np.log(x)) if x > 0.0 else -np.inf for x in years)
-    of = {j for j in range(k) if is_own[j] or (alarms[j].level is not Level.NORMAL and j in reading.moved)} or {k}
+    of = {j for j in range(k) if is_own[j] or (alarms[j].level is Level.WARNING and j in reading.moved)} or {k}
     new, begins = list(alarms), list(began_ns)
+    least = float(np.log(judge.least_years))
     for j, alarm in enumerate(alarms[:-1]):
         shown = Shown(0.0, 0.0, *((score, lasting) if j in of else (-np.inf, -np.inf)), 1)
-        off_ns = t_ns - judged_ns[-_IN_A_ROW if alarm.level is Level.WARNING else -1]
-        least = float(np.log(judge.least_years))
-        new[j] = update_alarm(alarm, shown, t_ns, _ALARM, least, np.inf, off_ns, sure=-float(np.log(_OVER)))
+        # One reading is announced as long as it says so.
+        n, sure = (_IN_A_ROW, -float(np.log(_OVER))) if alarm.level is Level.WARNING else (1, 0.0)
+        new[j] = update_alarm(alarm, shown, t_ns, _ALARM, least, np.inf, t_ns - judged_ns[-n], sure)
         begins[j] = t_ns if alarm.level is Level.NORMAL else begins[j]
     return tuple(new), tuple(begins)
 

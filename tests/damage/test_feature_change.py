@@ -172,3 +172,24 @@ def test_the_size_of_a_change_is_told_with_its_interval_and_its_begin() -> None:
     size, half = (float(text) for text in re.findall(r"f1 ([-+.\d]+) ± ([.\d]+) %", verdicts[-1].alarm.reason)[0])
     assert f"since {begin}Z" in verdicts[-1].alarm.reason
     assert abs(size + 2.0) < 1.5 * half < 1.0
+
+
+def test_a_feature_has_the_alarm_that_its_own_test_raises_and_all_together_what_none_shows_by_itself() -> None:
+    _, own = judge_features(bridge(54, 0.01), 80 * 24 * HOUR_NS)
+    assert own[-1].alarm.active == {1: Level.WARNING} and changed(own[-1]) == ["f1"]
+    _, together = judge_features(unlike(61, 0.03), 80 * 24 * HOUR_NS)
+    assert together[-1].alarm.active == {5: Level.WARNING}
+    assert "the features together (f1 " in together[-1].alarm.reason
+
+
+def test_one_reading_is_announced_until_the_next_and_no_feature_takes_over_from_all_together_by_it() -> None:
+    table = unlike(61, 0.03)
+    at = int(np.searchsorted(table.t_ns, 90 * 24 * HOUR_NS))
+    for name in ("f2", "f3"):
+        table.features[name][[at, at + 180]] = 1.0  # of 5
+    _, verdicts = judge_features(table, 80 * 24 * HOUR_NS)
+    told = {v.t_end_ns: v.alarm for v in verdicts}
+    first, second, last = (told[int(table.t_ns[k])] for k in (at, at + 1, at + 184))
+    assert first.level is Level.ADVISORY and "not confirmed yet" in first.reason
+    assert second.level is Level.NORMAL
+    assert last.active == {5: Level.WARNING}
