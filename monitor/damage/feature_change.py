@@ -248,7 +248,7 @@ def _judge(
             counts = confirms if lasting >= judge.least_years else np.ones_like(confirms)
             at = int((years * counts).argmax())
             size = seen[at].means.size[row]
-            std = np.abs(size / seen[at].scores[row])
+            std = np.abs(size / np.where(seen[at].scores[row] == 0.0, np.nan, seen[at].scores[row]))
             beyond = _beyond(judge.models, late, row)
             reading = replace(reading, loss=-size, covariance=np.diag(std**2), years=lasting / len(seen), beyond=beyond)
             is_own = (own * counts[:, None]).max(axis=0) >= judge.least_years
@@ -293,7 +293,7 @@ def _words(parts: Features, reading: FeatureReading, began_ns: Sequence[int]) ->
     """Say how each feature changed, and all together, and since when that is announced."""
     told = enumerate(zip(reading.loss.tolist(), reading.change_std.tolist(), strict=True), 1)
     sizes = {j: parts.changed(j, loss, loss, std) for j, (loss, std) in told if np.isfinite(loss)}
-    moved = ", ".join(sizes[j + 1] for j in reading.moved)
+    moved = ", ".join(sizes[j + 1] for j in reading.moved if j + 1 in sizes)
     sizes[len(began_ns)] = f"{parts.name(len(began_ns))} ({moved})"
     return {j: f"{says} since {utc(began_ns[j - 1])}Z" for j, says in sizes.items()}
 

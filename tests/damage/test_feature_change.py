@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from monitor.core import BadInputError, FeatureReading, Level, WindowResult, utc
-from monitor.damage import FeatureTable, judge_features
+from monitor.damage import FeatureJudge, FeatureTable, StoryState, judge_features
+from monitor.damage.feature_change import _update
 
 HOUR_NS = 3_600_000_000_000
 
@@ -182,14 +183,16 @@ def test_a_feature_has_the_alarm_that_its_own_test_raises_and_all_together_what_
     assert "the features together (f1 " in together[-1].alarm.reason
 
 
-def test_one_reading_is_announced_until_the_next_and_no_feature_takes_over_from_all_together_by_it() -> None:
-    table = unlike(61, 0.03)
-    at = int(np.searchsorted(table.t_ns, 90 * 24 * HOUR_NS))
-    for name in ("f2", "f3"):
-        table.features[name][[at, at + 180]] = 1.0  # of 5
-    _, verdicts = judge_features(table, 80 * 24 * HOUR_NS)
-    told = {v.t_end_ns: v.alarm for v in verdicts}
-    first, second, last = (told[int(table.t_ns[k])] for k in (at, at + 1, at + 184))
-    assert first.level is Level.ADVISORY and "not confirmed yet" in first.reason
-    assert second.level is Level.NORMAL
-    assert last.active == {5: Level.WARNING}
+def test_one_reading_of_a_feature_ends_no_alarm_of_all_together() -> None:
+    """Evidence that is in between holds what was confirmed, and not what one reading said."""
+    judge, alarms, began_ns = FeatureJudge((), (), 10.0), (StoryState(),) * 4, (0, 0, 0)
+    reading = FeatureReading(
+        np.array([0.3, 0.1]), np.diag([0.01, 0.01]), names=("f1", "f2"), sigma=np.ones(2), years=0.0
+    )
+    levels = []
+    for row, (years, own) in enumerate([((20.0, 20.0), False), ((50.0, 5.0), True), *[((5.0, 5.0), False)] * 9], 1):
+        times = [max(0, row - k) for k in (3, 2, 1, 0)]
+        alarms, began_ns = _update(alarms, began_ns, judge, reading, np.array([own, False]), years, times)
+        levels.append((alarms[0].level, alarms[2].level))
+    assert levels[1:3] == [(Level.ADVISORY, Level.WARNING), (Level.NORMAL, Level.WARNING)]
+    assert levels[-1] == (Level.NORMAL, Level.WARNING) and began_ns[2] == 1
