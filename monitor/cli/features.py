@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 @reads_files("timezone", "start")
 def features(
-    table: Annotated[Path, Argument(metavar="FILE.csv", help="Times, features and covariates in columns.")],
+    table: Annotated[
+        Path, Argument(metavar="FILE", help="Times, features and covariates in columns, as 'import' reads.")
+    ],
     time: Annotated[str, Option(metavar="COLUMN", help="Column of the times (ISO 8601, or s since 1970).")],
     names: Annotated[str, Option("--features", metavar="F1,F2", help="Columns of the features.")],
     train_until: Annotated[str, Option(metavar="TIME", help="End of the healthy part, ISO 8601.")],
@@ -36,13 +38,14 @@ def features(
 ) -> None:
     """Judge features without waveforms, less what covariates explain.
 
-    Writes results.jsonl and summary.json in DIR.
+    Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR, as 'replay' does.
     """
-    from monitor.runs import features as run
+    from monitor.damage import State
+    from monitor.runs import features as run, replay
 
     until_ns = time_ns("--train-until", train_until)
     assert until_ns is not None
-    spare_inputs([out / name for name in run.RESULT_FILES], [table])
+    spare_inputs([out / name for name in replay.RESULT_FILES], [table])
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     if not wanted:
         raise BadParameter("--features: name at least one column")
@@ -65,6 +68,6 @@ def features(
         for f in summary["features"]
     ]
     lines.append(f"{summary['judged']} rows judged, {summary['skipped']} not; {summary['announced']} announced")
-    lines += [f"{alarm['level']}: {alarm['reason']}" for alarm in summary["alarms"][-3:]]
-    lines.append(summary["headline"])
-    say("\n".join([*lines, f"results in {out}"]), {**summary, "out": str(out)}, as_json)
+    lines += [f"{State(summary['state']).words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])]
+    look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
+    say("\n".join([*lines, f"results in {out}{look}"]), {**summary, "out": str(out)}, as_json)

@@ -45,6 +45,7 @@ from .results import (
     ComplexArray as ComplexArray,
     CrossSpectra as CrossSpectra,
     DamageReading as DamageReading,
+    FeatureReading as FeatureReading,
     Gap as Gap,
     LagSums as LagSums,
     LeftOutChannel as LeftOutChannel,

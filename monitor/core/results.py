@@ -21,6 +21,8 @@ ComplexArray = NDArray[np.complex128]
 
 WHOLE = 0
 """Story number of the structure as a whole."""
+_MOVED_STDS = 2.0
+"""Change from which a feature has moved. [standard deviations; convention: 95 %]"""
 
 
 class Level(StrEnum):
@@ -437,6 +439,49 @@ class ModalReading(Reading):
         return self.shape[rows, best], np.sqrt(self.shape_variance[rows, best])
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class FeatureReading(Reading):
+    """Change of each feature since the healthy time, by the mean of late readings that tells most; NaN for one without any.
+
+    A feature's loss is the fall of its logarithm or, where it is not of one sign, of itself.
+    """
+
+    either_side: ClassVar[bool] = True
+
+    names: tuple[str, ...]
+    sigma: Annotated[Array, "q"]
+    """What the covariates leave of this reading, over the standard deviation of that in healthy ones; NaN where missing."""
+    years: float
+    """How long a healthy structure takes to show as much; 0 where nothing was judged."""
+
+    @property
+    def change(self) -> Annotated[Array, "q"]:
+        """Change of each feature."""
+        return -self.loss
+
+    @property
+    def change_std(self) -> Annotated[Array, "q"]:
+        """Its standard deviation."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def z(self) -> Annotated[Array, "q"]:
+        """Size of each change over its standard deviation; 0 where there is none."""
+        return np.nan_to_num(np.abs(self.change / self.change_std))
+
+    @property
+    def moved(self) -> tuple[int, ...]:
+        """Numbers, from 0, of the features that moved, or of the one that did most; the farthest first."""
+        least = min(float(self.z.max()), _MOVED_STDS)
+        return tuple(j for j in np.argsort(-self.z, kind="stable").tolist() if self.z[j] >= least)
+
+    def told(self, alarm: Alarm) -> list[str]:
+        """Name the features that an alarm tells of, the farthest moved first: those at its level, or that moved together."""
+        at = {j - 1 for j, level in alarm.active.items() if level is alarm.level}
+        own = sorted(at - {len(self.names)}, key=lambda j: -self.z[j])
+        return [self.names[j] for j in (own or self.moved if at else ())]
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Temperature:
     """Temperature of a window."""
@@ -455,7 +500,8 @@ class Alarm:
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
     """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`.  Without a model the
-    numbers are those of the modes' frequencies, then of their shapes, then of the spectrum (`damage.modal_parts`)."""
+    numbers are those of the modes' frequencies, then of their shapes, then of the spectrum (`damage.modal_parts`), or those of
+    the features, then of all together."""
     conditions: dict[int, AlarmCondition] = field(default_factory=dict)
     """Condition of every alarm that is not normal, including shelved alarms."""
 
@@ -494,6 +540,8 @@ class WindowResult:
     """Of a window of modes alone without a baseline, for calibration."""
     rates_hz: tuple[float, float] | None = None
     """Rate that the source states, and its rate by the timestamps, Hz."""
+    features: FeatureReading | None = None
+    """Change of the features, where these are judged."""
 
 
 @dataclass(frozen=True, slots=True)

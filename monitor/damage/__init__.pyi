@@ -42,15 +42,20 @@ from .feature_change import (
     FALSE_ANNOUNCEMENTS_PER_YEAR as FALSE_ANNOUNCEMENTS_PER_YEAR,
     FeatureJudge as FeatureJudge,
     FeatureTable as FeatureTable,
-    FeatureVerdict as FeatureVerdict,
     judge_features as judge_features,
 )
-from .healthy_series import LAGS_H as LAGS_H
+from .healthy_series import LAGS_H as LAGS_H, FeatureModel as FeatureModel
 from .judge import Memory as Memory
 from .level import drift_m as drift_m, level_db as level_db
 from .modal_stiffness import ModalStiffness as ModalStiffness
 from .origin import Origin as Origin
-from .parts import SPECTRUM as SPECTRUM, Parts as Parts, modal_parts as modal_parts
+from .parts import (
+    ALONE as ALONE,
+    TOGETHER as TOGETHER,
+    Features as Features,
+    Parts as Parts,
+    modal_parts as modal_parts,
+)
 from .presence import Presence as Presence, Sighting as Sighting, learn_presence as learn_presence
 from .quantities import Quantities as Quantities, View as View
 from .spectrum import HealthySpectrum as HealthySpectrum, learn_spectrum as learn_spectrum

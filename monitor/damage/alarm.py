@@ -181,7 +181,7 @@ def step(
             best = j * n_channels + int(found.z[j * n_channels : (j + 1) * n_channels].argmax())
             shown = Shown(*(x[best].item() for x in (found.loss, found.std, found.z, found.lasting, found.stretch)))
             says[n + j + 1] = parts.shape_changed(j + 1, shown.loss, shown.std, best % n_channels)
-            update(n + j, shown, _warning_only(settings))
+            update(n + j, shown, warning_only(settings))
     shared, std = sequential_test.shared_change(evidence.loss, evidence.std), float(evidence.std.max())
     z = float(as_normal((abs(shared) if reading.either_side else shared) / std, evidence.freedom.min()))
     whole = state.stories[-1]
@@ -194,7 +194,7 @@ def step(
     if reading.beyond:
         alarms = [_unless_fallen(s, now) for s, now in zip(state.stories, alarms, strict=True)]
     state = AlarmState(tuple(_end_shelving(s, t_ns) for s in alarms), history, shapes)
-    announced = _summarize(state.stories, says, beside if shared else "", parts)
+    announced = summarize(state.stories, says, beside if shared else "", parts)
     return state, replace(announced, reason=f"{announced.reason}; {reading.beyond}") if reading.beyond else announced
 
 
@@ -208,7 +208,7 @@ def tests_of(reading: Reading, *, beside_others: bool) -> Scores:
 def hold(state: AlarmState, t_ns: int, parts: Parts = STORIES) -> tuple[AlarmState, Alarm]:
     """Keep the alarms over a skipped window; only shelving whose time is over ends."""
     stories = tuple(_end_shelving(s, t_ns) for s in state.stories)
-    return replace(state, stories=stories), _summarize(stories, {}, "unchanged: the window was skipped", parts)
+    return replace(state, stories=stories), summarize(stories, {}, "unchanged: the window was skipped", parts)
 
 
 def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
@@ -293,8 +293,8 @@ def _of_the_whole(settings: AlarmSettings) -> AlarmSettings:
 
 
 @lru_cache(maxsize=8)
-def _warning_only(settings: AlarmSettings) -> AlarmSettings:
-    """Return the settings for shapes, whose change has no size that could be compared with a loss: never above warning."""
+def warning_only(settings: AlarmSettings) -> AlarmSettings:
+    """Return the settings for shapes and features, whose change is no loss that has a size: never above warning."""
     return settings.model_copy(update={"alarm_loss": np.inf})
 
 
@@ -306,14 +306,15 @@ def update_alarm(
     least_z: float,
     confirm_ns: float,
     off_ns: float,
+    sure: float = SURE_STDS,
 ) -> StoryState:
-    """Update one alarm, announced from the z-score `least_z` on.
+    """Update one alarm, announced from the z-score `least_z` on, or from any other score, which is surely less by `sure`.
 
     It is confirmed where readings that share no data reach that together, or one does so `confirm_ns` after the first of an
     unbroken run that reached it.  `off_ns` is the off-delay.
     """
     is_active, since = alarm.level is not Level.NORMAL, None
-    slack, says = SURE_STDS if is_active else 0.0, Level.NORMAL
+    slack, says = sure if is_active else 0.0, Level.NORMAL
     if shown.z >= least_z - slack and shown.loss >= settings.min_loss - slack * shown.std:
         since = t_ns if alarm.since_ns is None else min(alarm.since_ns, t_ns)  # the clock may have been set back
         again = shown.z >= least_z and t_ns - since >= confirm_ns
@@ -348,7 +349,7 @@ def _unless_fallen(before: StoryState, now: StoryState) -> StoryState:
     return before if now.less_since_ns or now.level.rank < before.level.rank else now
 
 
-def _summarize(stories: tuple[StoryState, ...], says: dict[int, str], alike: str, parts: Parts) -> Alarm:
+def summarize(stories: tuple[StoryState, ...], says: dict[int, str], alike: str, parts: Parts) -> Alarm:
     """Combine all alarms to the announced level with its reason.
 
     `says` has words for each part's change, by its number; `alike` those for a common change, or for what else is to be said.

@@ -25,7 +25,7 @@ from monitor.core import (
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
 from monitor.damage.origin import MOST_LISTED
-from monitor.damage.parts import ALONE, SPECTRUM, STORIES, ModesAndShapes, Parts, change_words
+from monitor.damage.parts import ALONE, STORIES, Features, ModesAndShapes, Parts, change_words
 from monitor.damage.sequential_test import CHANCE_STDS
 from monitor.model import FORMS
 
@@ -181,15 +181,19 @@ class Known:
     clock_ratio: float = 1.0
     """Rate of the baseline's data by their timestamps over the stated one."""
     n_modes: int | None = None
-    """Number of the modes, where these alone are judged; `names` are then theirs and their shapes'."""
+    """Number of the modes, or features, where these alone are judged; `names` are then theirs (`Parts.name`)."""
     aside: tuple[str, ...] = ()
     """Channels that are measured and enter no estimate, as along other directions."""
     aside_faults: tuple[tuple[str, str], ...] = ()
     """Those of them that are faulty, and what is wrong with each."""
+    relative: tuple[bool, ...] = ()
+    """Of each feature, where these are judged, whether its change is told relative to its size."""
 
     @property
     def parts(self) -> Parts:
         """What is judged."""
+        if self.relative:
+            return Features(self.names[: len(self.relative)], self.relative)
         return STORIES if self.n_modes is None else ModesAndShapes(self.n_modes)
 
     @property
@@ -366,7 +370,7 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
             says = f"{_lost(loss, known)}, until {utc(loss.t_last_ns)} UTC"
         said = (diagnosis_of(loss, findings) or "").rstrip(".")
         diagnosis = f"; diagnosis: {said[:1].lower()}{said[1:]}" if said else ""
-        alone = ALONE if len(losses) == 1 and _name(loss.story, known) == SPECTRUM else ""
+        alone = ALONE.get(_name(loss.story, known), "") if len(losses) == 1 else ""
         facts.append((State(level.value), _sentence(says + alone + diagnosis)))
     return facts
 
@@ -375,22 +379,22 @@ def _since(loss: Loss, level: Level, course: Course, known: Known) -> str:
     """Say since when an alarm stands, how large it was then and how large it is now; `level` is the one it has now."""
     since = f"since {utc(loss.t_level_ns or loss.t_first_ns)} UTC"
     now = None if course.judged is None else course.judged.losses.get(loss.story)
-    if now is None or now[:2] == (loss.ddi, loss.ddi_std) or _name(loss.story, known) == SPECTRUM:  # which has no size
+    if now is None or now[:2] == (loss.ddi, loss.ddi_std) or _name(loss.story, known) in ALONE:  # which has no size
         return f"{_lost(loss, known)}, {loss.level.value} {since}"
     present = replace(loss, level=level, ddi=now[0], ddi_std=now[1])
     if level is not loss.level:
-        return f"{_lost(present, known)}; {loss.level.value} of {_size(loss)} {since} is over"
-    return f"{_lost(loss, known)}, {loss.level.value} {since}; now {_size(present)}"
+        return f"{_lost(present, known)}; {loss.level.value} of {_size(loss, known)} {since} is over"
+    return f"{_lost(loss, known)}, {loss.level.value} {since}; now {_size(present, known)}"
 
 
 def _lost(loss: Loss, known: Known) -> str:
     """Say what an alarm is about and how much it changed."""
     unconfirmed = ", not confirmed yet" if loss.level is Level.ADVISORY and loss.story != WHOLE else ""
     if loss.modal:
-        return f"changed since the baseline: {_change(loss, known)}{unconfirmed}"
+        return f"{known.parts.since}{_change(loss, known)}{unconfirmed}"
     if loss.story == WHOLE:
         return f"every story lost {100 * loss.ddi:.1f} % alike (weather, mass, clock or stiffness)"
-    return f"{_name(loss.story, known)} lost {_size(loss)} of its stiffness since the baseline{unconfirmed}"
+    return f"{_name(loss.story, known)} lost {_size(loss, known)} of its stiffness since the baseline{unconfirmed}"
 
 
 def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[Fact]:
@@ -586,7 +590,7 @@ def _unjudged(course: Course, known: Known, first: tuple[float, int | None] | No
     says = [] if (why := _why_unjudged(course, first)) is None else [why]
     if not known.has_baseline:
         says.append("no baseline to compare with; make one with 'calibrate'")
-    elif not says and course.judged is not None:
+    elif not says and course.judged is not None and not known.relative:
         detectable = course.judged.detectable
         watched = {*range(1, len(detectable or ()) + 1)} - {*known.unwatched}
         if _unseen(course.judged, known) or not watched:
@@ -633,6 +637,8 @@ def is_seen(detectable: float | None, alarm_loss: float) -> bool:
 def _seen(course: Course, known: Known) -> str:
     """State the smallest loss that would have been seen, and the stories in which none would."""
     window = course.judged
+    if known.relative:
+        return f"no change of {', '.join(known.names[: len(known.relative)])} beyond what the covariates explain"
     if window is None or window.detectable is None:
         return f"how small a {known.parts.loss} would have been seen is not recorded in these results"
     unseen = _unseen(window, known)
@@ -681,10 +687,9 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
-        size = _change(loss, known) if loss.modal else _size(loss)
-        says.append(
-            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({size}) ended {utc(loss.t_last_ns or 0)} UTC"
-        )
+        name, size = _name(loss.story, known), _change(loss, known) if loss.modal else _size(loss, known)
+        name += "" if size == name else f" ({size})"
+        says.append(f"an earlier {loss.level.value} of {name} ended {utc(loss.t_last_ns or 0)} UTC")
     return [_sentence(sentence) for sentence in says]
 
 
@@ -708,7 +713,7 @@ def _all_frequencies(course: Course, known: Known) -> list[str]:
     window = course.judged
     if window is None or not course.losses or known.n_modes is None or len(window.changes) != known.n_modes:
         return []
-    changes = [change_words(f"mode {k}", size, std) for k, (size, std) in enumerate(window.changes, 1)]
+    changes = [_told(k, size, std, known) for k, (size, std) in enumerate(window.changes, 1)]
     return [f"by the latest window {', '.join(changes)}"]
 
 
@@ -719,12 +724,19 @@ def _kind(loss: Loss, known: Known) -> int:
 
 def _change(loss: Loss, known: Known) -> str:
     """Say how a mode or a shape changed."""
-    words = change_words(_name(loss.story, known), loss.ddi, loss.ddi_std)
+    words = _told(loss.story, loss.ddi, loss.ddi_std, known)
     return f"{words} alike (weather, mass, clock or stiffness)" if loss.story == WHOLE else words
 
 
-def _size(loss: Loss) -> str:
-    return f"{100 * (abs(loss.ddi) if loss.modal else loss.ddi):.1f} ± {200 * loss.ddi_std:.1f} %"
+def _told(part: int, change: float, std: float, known: Known) -> str:
+    """Say by how much a mode, a shape or a feature changed."""
+    if known.relative:
+        return known.parts.changed(part, -change, -change, std)
+    return change_words(_name(part, known), change, std)
+
+
+def _size(loss: Loss, known: Known) -> str:
+    return known.parts.size(loss.story, loss.ddi, loss.ddi_std)
 
 
 def _sentence(text: str) -> str:

@@ -16,8 +16,8 @@ H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; J. Schaefer, K. Strimmer, St
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Annotated
@@ -26,8 +26,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher, rankdata, t as student
 
-from monitor.core import Array, BadInputError, Level, OnProgress, Skipped, Step
+from monitor.core import (
+    Array,
+    BadInputError,
+    FeatureReading,
+    Level,
+    OnProgress,
+    Skipped,
+    Step,
+    WindowResult,
+    utc,
+)
+from monitor.damage.alarm import AlarmSettings, Shown, StoryState, summarize, update_alarm, warning_only
 from monitor.damage.healthy_series import FOLDS, FeatureModel, Left, correlation_time, lagged, learn
+from monitor.damage.parts import Features
 
 _LENGTHS = (1, 8, 16, 32, 64, 128, 256)
 """Readings over which what is left is averaged. [readings; judgement: one, and powers of two whose middle half is not moved by
@@ -47,6 +59,12 @@ _MOST_YEARS = 1e9
 """Rarest that is told from never. [years; rounding]"""
 _OVER = 0.05
 """Chance at which what an announcement began with may be over. [1; convention: 95 %]"""
+_ALARM = warning_only(AlarmSettings(min_loss=0.0))
+"""Any change of a feature is announced that is rare enough, and none is an `alarm` by its size. [settings; definition]"""
+_NONE = Skipped("no feature at this time")
+"""Why a reading is not judged. [words]"""
+_UNJUDGED = "unchanged: the features were not judged"
+"""What an alarm says where no feature was measured. [words]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,22 +77,6 @@ class FeatureTable:
     """NaN where one is missing."""
     covariates: Mapping[str, Annotated[Array, "w"]]
     """NaN where one is missing."""
-
-
-@dataclass(frozen=True, slots=True)
-class FeatureVerdict:
-    """What one time's features say."""
-
-    t_ns: int
-    residual_sigma: tuple[float | None, ...]
-    """What the covariates leave of each feature, over the standard deviation of that in healthy readings; None if missing."""
-    level: Level
-    changed: tuple[str, ...]
-    """Names of the changed features."""
-    reason: str
-    skipped: Skipped | None
-    years: float
-    """How long a healthy structure takes to show as much: 0 where nothing was judged."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -164,14 +166,19 @@ class FeatureJudge:
     least_years: float
     """How rare a change has to be on a healthy structure to be announced."""
 
+    @property
+    def parts(self) -> Features:
+        """What alarms are about, in words."""
+        return Features(tuple(m.name for m in self.models), tuple(m.log for m in self.models))
+
 
 def judge_features(
     table: FeatureTable,
     train_until_ns: int,
     on_progress: OnProgress = lambda _: None,
     false_announcements_per_year: float = FALSE_ANNOUNCEMENTS_PER_YEAR,
-) -> tuple[FeatureJudge, list[FeatureVerdict]]:
-    """Learn the features from the readings up to a time (UTC), and judge the later ones, one verdict for each row.
+) -> tuple[FeatureJudge, list[WindowResult]]:
+    """Learn the features from the readings up to a time (UTC), and judge the later ones, one result for each row.
 
     Raises
     ------
@@ -194,6 +201,28 @@ def judge_features(
     return judge, list(_judge(judge, table, left, late, healthy, on_progress))
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Seen:
+    """What a look shows of all rows."""
+
+    means: Means
+    scores: Annotated[Array, "w k"]
+    years: Annotated[Array, "w"]
+    """How long a healthy structure takes to show as much."""
+    own: Annotated[Array, "w k"]
+    """The same by the test of each feature by itself; no more than that."""
+
+    @classmethod
+    def of(cls, look: Look, means: Means) -> _Seen:
+        """Take a look."""
+        evidence, scores = _evidence(look.scatter, means, look.in_a_row)
+        tests = 6.0 * (np.isfinite(scores).sum(axis=1, keepdims=True) + 1.0)
+        chance = np.clip(tests * student.sf(np.abs(scores), look.scatter.freedom[0]), _LEAST_CHANCE, 1.0)
+        own = _in_a_row(np.nan_to_num(-np.log(chance)), means, look.in_a_row)
+        years = look.rate.years
+        return cls(means, scores, years(evidence), years(np.minimum(own, evidence[:, None])))
+
+
 def _judge(
     judge: FeatureJudge,
     table: FeatureTable,
@@ -201,56 +230,72 @@ def _judge(
     late: Mapping[str, Array],
     first: int,
     on_progress: OnProgress,
-) -> Iterator[FeatureVerdict]:
+) -> Iterator[WindowResult]:
     """Judge the rows from `first` on, in order."""
     means = {m: _means(left, m) for m in {look.scatter.m for look in judge.looks}}
-    seen = [_evidence(look.scatter, means[look.scatter.m], look.in_a_row) for look in judge.looks]
-    years = np.array([look.rate.years(evidence) for look, (evidence, _) in zip(judge.looks, seen, strict=True)])
+    seen = [_Seen.of(look, means[look.scatter.m]) for look in judge.looks]
     confirms = np.array([look.confirms for look in judge.looks])
-    sigma = left.residual / np.sqrt(left.variance + left.law)
-    level, since_ns, over = Level.NORMAL, 0, 0
+    sigma, k = left.residual / np.sqrt(left.variance + left.law), len(judge.models)
+    alarms, began_ns, judged_ns = (StoryState(),) * (k + 2), (0,) * (k + 1), [0] * _IN_A_ROW
     for row in range(first, table.t_ns.size):
         on_progress(Step("judges the rows", row, table.t_ns.size, "rows"))
-        t_ns = int(table.t_ns[row])
-        values = tuple(None if np.isnan(s) else float(s) for s in sigma[row])
-        if not np.isfinite(left.residual[row]).any():
-            none = Skipped("no feature at this time")
-            yield FeatureVerdict(t_ns, values, level, (), "unchanged: the features were not judged", none, 0.0)
-            continue
-        confirmed = float((years[:, row] * confirms).max(initial=0.0))
-        at = int((years[:, row] * confirms if confirmed >= judge.least_years else years[:, row]).argmax())
-        if years[at, row] >= judge.least_years:
-            over, since_ns = 0, t_ns if level is Level.NORMAL else since_ns
-            is_confirmed = confirmed >= judge.least_years or level is Level.WARNING
-            level = Level.WARNING if is_confirmed else Level.ADVISORY
-        else:
-            # An announcement ends when readings in a row surely say less than it began with.
-            over = over + 1 if confirmed < judge.least_years * _OVER else 0
-            level = Level.NORMAL if over >= _IN_A_ROW or level is Level.ADVISORY else level
-        changed, reason = tuple[str, ...](), "no significant change"
-        if level is not Level.NORMAL:
-            look = judge.looks[at]
-            changed, reason = _words(judge, means[look.scatter.m], seen[at][1], row)
-            reason += f"since {np.datetime64(since_ns, 'ns').astype('datetime64[m]')}Z"
-        beyond = _beyond(judge.models, late, row)
-        yield FeatureVerdict(t_ns, values, level, changed, reason + beyond, None, confirmed / len(judge.looks))
+        t_ns, skipped = int(table.t_ns[row]), None if np.isfinite(left.residual[row]).any() else _NONE
+        reading = FeatureReading(np.full(k, np.nan), np.eye(k), names=judge.parts.features, sigma=sigma[row], years=0.0)
+        if skipped is None:
+            judged_ns = [*judged_ns[1:], t_ns]
+            years, own = np.array([one.years[row] for one in seen]), np.array([one.own[row] for one in seen])
+            lasting = float((years * confirms).max(initial=0.0))
+            counts = confirms if lasting >= judge.least_years else np.ones_like(confirms)
+            at = int((years * counts).argmax())
+            size = seen[at].means.size[row]
+            std = np.abs(size / np.where(seen[at].scores[row] == 0.0, np.nan, seen[at].scores[row]))
+            beyond = _beyond(judge.models, late, row)
+            reading = replace(reading, loss=-size, covariance=np.diag(std**2), years=lasting / len(seen), beyond=beyond)
+            is_own = (own * counts[:, None]).max(axis=0) >= judge.least_years
+            alarms, began_ns = _update(alarms, began_ns, judge, reading, is_own, (float(years[at]), lasting), judged_ns)
+        says, otherwise = ({}, _UNJUDGED) if skipped else (_words(judge.parts, reading, began_ns), "")
+        alarm = summarize(alarms, says, otherwise, judge.parts)
+        if reading.beyond:
+            alarm = replace(alarm, reason=f"{alarm.reason}; {reading.beyond}")
+        known = {name: values[row] for name, values in late.items() if np.isfinite(values[row]).all()}
+        yield WindowResult(row - first, t_ns, 0.0, None, None, None, alarm, skipped, covariates=known, features=reading)
 
 
-def _words(judge: FeatureJudge, means: Means, scores: Annotated[Array, "w k"], row: int) -> tuple[tuple[str, ...], str]:
-    """Name the features that changed, the one that changed most first, and say by how much."""
-    size = np.nan_to_num(np.abs(scores[row]))
-    found = [j for j in np.argsort(-size).tolist() if size[j] > 2.0] or [int(size.argmax())]
-    said = []
-    for j in found:
-        change = float(means.size[row, j])
-        std = abs(change / scores[row, j]) if scores[row, j] else 0.0
-        name = judge.models[j].name
-        said.append(
-            f"{name} {100 * change:+.2f} +- {100 * std:.2f} %"
-            if judge.models[j].log
-            else f"{name} {change:+.3g} +- {std:.2g}"
-        )
-    return tuple(judge.models[j].name for j in found), f"{', '.join(said)} beyond what the covariates explain, "
+def _update(
+    alarms: tuple[StoryState, ...],
+    began_ns: tuple[int, ...],
+    judge: FeatureJudge,
+    reading: FeatureReading,
+    is_own: Annotated[NDArray[np.bool_], "k"],
+    years: tuple[float, float],
+    judged_ns: Sequence[int],
+) -> tuple[tuple[StoryState, ...], tuple[int, ...]]:
+    """Update the alarms by the evidence of all tests, `years` of any and of several readings in a row.
+
+    It is that of the features whose own test says as much and of those confirmed that still differ; else of all together.  The
+    score is the logarithm of years.  A level ends when so many readings in a row say surely less as confirm one.
+    """
+    k, t_ns = is_own.size, judged_ns[-1]
+    score, lasting = (float(np.log(x)) if x > 0.0 else -np.inf for x in years)
+    of = {j for j in range(k) if is_own[j] or (alarms[j].level is Level.WARNING and j in reading.moved)} or {k}
+    new, begins = list(alarms), list(began_ns)
+    least = float(np.log(judge.least_years))
+    for j, alarm in enumerate(alarms[:-1]):
+        shown = Shown(0.0, 0.0, *((score, lasting) if j in of else (-np.inf, -np.inf)), 1)
+        # One reading is announced as long as it says so.
+        n, sure = (_IN_A_ROW, -float(np.log(_OVER))) if alarm.level is Level.WARNING else (1, 0.0)
+        new[j] = update_alarm(alarm, shown, t_ns, _ALARM, least, np.inf, t_ns - judged_ns[-n], sure)
+        begins[j] = t_ns if alarm.level is Level.NORMAL else begins[j]
+    return tuple(new), tuple(begins)
+
+
+def _words(parts: Features, reading: FeatureReading, began_ns: Sequence[int]) -> dict[int, str]:
+    """Say how each feature changed, and all together, and since when that is announced."""
+    told = enumerate(zip(reading.loss.tolist(), reading.change_std.tolist(), strict=True), 1)
+    sizes = {j: parts.changed(j, loss, loss, std) for j, (loss, std) in told if np.isfinite(loss)}
+    moved = ", ".join(sizes[j + 1] for j in reading.moved if j + 1 in sizes)
+    sizes[len(began_ns)] = f"{parts.name(len(began_ns))} ({moved})"
+    return {j: f"{says} since {utc(began_ns[j - 1])}Z" for j, says in sizes.items()}
 
 
 def _beyond(models: tuple[FeatureModel, ...], late: Mapping[str, Array], row: int) -> str:
@@ -260,7 +305,7 @@ def _beyond(models: tuple[FeatureModel, ...], late: Mapping[str, Array], row: in
         if covariate.beyond(value):
             low, high = covariate.range
             return (
-                f"; {covariate.name} {value:.3g} is {covariate.beyond(value)} anything learned from, {low:.3g} to {high:.3g}: "
+                f"{covariate.name} {value:.3g} is {covariate.beyond(value)} anything learned from, {low:.3g} to {high:.3g}: "
                 "less is known here"
             )
     return ""
@@ -295,11 +340,15 @@ def _means(left: Left, m: int) -> Means:
 def _evidence(scatter: Scatter, means: Means, in_a_row: int) -> tuple[Annotated[Array, "w"], Annotated[Array, "w k"]]:
     """Compute -ln of the chance of healthy means, the least of some in a row, and the standard score of each feature."""
     chance, scores = scatter.chance(means)
-    there = np.flatnonzero(np.isfinite(means.score).any(axis=1))
-    least = np.zeros(len(chance))
-    if there.size >= in_a_row:
-        least[there[in_a_row - 1 :]] = np.lib.stride_tricks.sliding_window_view(-chance[there], in_a_row).min(axis=1)
-    return least, scores
+    return _in_a_row(-chance, means, in_a_row), scores
+
+
+def _in_a_row(evidence: Annotated[Array, "w ..."], means: Means, n: int) -> Annotated[Array, "w ..."]:
+    """Compute the least evidence of n means in a row; 0 where there are fewer."""
+    there, least = np.flatnonzero(np.isfinite(means.score).any(axis=1)), np.zeros(evidence.shape)
+    if there.size >= n:
+        least[there[n - 1 :]] = np.lib.stride_tricks.sliding_window_view(evidence[there], n, axis=0).min(axis=-1)
+    return least
 
 
 def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:

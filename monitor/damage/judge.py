@@ -154,7 +154,7 @@ def _with_words(verdict: Alarm, more: Beside, parts: Parts) -> Alarm:
         return verdict
     says = more.says or change_words(SPECTRUM, 0.0, 0.0)
     if parts.unchanged in verdict.reason:
-        says += ALONE if len(verdict.active) == 1 else ""
+        says += ALONE[SPECTRUM] if len(verdict.active) == 1 else ""
         return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says, 1))
     return replace(verdict, reason=f"{verdict.reason}; {says}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 from typing_extensions import override
 
 from monitor.core import ModalReading, Reading
@@ -32,9 +33,13 @@ class Parts:
         """Name a part."""
         return f"story {part}"
 
+    def size(self, part: int, change: float, std: float) -> str:
+        """Write the size of a part's loss, or change, with two standard deviations."""
+        return f"{100 * change:.1f} ± {200 * std:.1f} %"
+
     def changed(self, part: int, alone: float, loss: float, std: float) -> str:
         """Say how a part changed, by its loss beyond what all have in common (`alone`) and as a whole."""
-        return f"{self.name(part)} lost {100 * alone:.1f} ± {200 * std:.1f} % (mean of the latest windows)"
+        return f"{self.name(part)} lost {self.size(part, alone, std)} (mean of the latest windows)"
 
     def shape_changed(self, mode: int, change: float, std: float, channel: int) -> str:
         """Say how a mode's shape changed, most of all at a channel (0 = first)."""
@@ -66,6 +71,10 @@ class ModesAndShapes(Parts):
         return modal_parts(self.n_modes)[part - 1]
 
     @override
+    def size(self, part: int, change: float, std: float) -> str:
+        return super(ModesAndShapes, self).size(part, abs(change), std)
+
+    @override
     def changed(self, part: int, alone: float, loss: float, std: float) -> str:
         return change_words(self.name(part), -self.shown_per_loss * loss, self.shown_per_loss * std)
 
@@ -82,10 +91,42 @@ class ModesAndShapes(Parts):
         return says, says
 
 
-ALONE = "; no mode's change tells how"
-"""What is said of the spectrum where nothing else changed. [words]"""
+@dataclass(frozen=True, slots=True)
+class Features(Parts):
+    """Features without waveforms, then what only all of them together show."""
+
+    features: tuple[str, ...]
+    relative: tuple[bool, ...]
+    """Whether the change of each is told relative to its size."""
+
+    part: ClassVar[str] = "feature"
+    every: ClassVar[str] = "every feature"
+    loss: ClassVar[str] = "change"
+    unchanged: ClassVar[str] = "no significant change"
+    since: ClassVar[str] = "changed beyond what the covariates explain: "
+    are_places: ClassVar[bool] = False
+
+    @override
+    def name(self, part: int) -> str:
+        return (*self.features, TOGETHER)[part - 1]
+
+    @override
+    def size(self, part: int, change: float, std: float) -> str:
+        scale, unit = (100.0, " %") if self.relative[part - 1] else (1.0, "")
+        digits = 2 if unit else max(0, 2 - int(np.floor(np.log10(max(abs(change), std, 1e-9)))))
+        return f"{scale * change:+.{digits}f} ± {2.0 * scale * std:.{digits}f}{unit}"
+
+    @override
+    def changed(self, part: int, alone: float, loss: float, std: float) -> str:
+        return self.name(part) if part > len(self.features) else f"{self.name(part)} {self.size(part, -loss, std)}"
+
+
 SPECTRUM = "the spectrum"
 """The part, after modes and shapes, of what changed and is no mode's change of frequency or shape. [name]"""
+TOGETHER = "the features together"
+"""The part, after the features, of what none of them shows by itself. [name]"""
+ALONE = {SPECTRUM: "; no mode's change tells how", TOGETHER: "; none by itself as much"}
+"""Parts that change by no size, and what is said of them where nothing else changed. [words]"""
 STORIES = Parts()
 """The stories of a structure with a model. [none; definition]"""
 

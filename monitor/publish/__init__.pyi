@@ -21,6 +21,7 @@ from .reports.look_page import (
     peaks_in_words as peaks_in_words,
     write_look as write_look,
 )
+from .reports.period_notes import read_summary as read_summary
 from .reports.period_report import read_period as read_period, write_period as write_period
 from .results.arrow_table import WINDOWS_SCHEMA as WINDOWS_SCHEMA, windows_table as windows_table
 from .results.event_lines import (
@@ -75,4 +76,4 @@ from .viewer.diagnosis_view import write_view as write_view
 from .viewer.event_motion import write_motion as write_motion
 from .viewer.output import Output as Output
 from .viewer.publisher import RerunPublisher as RerunPublisher
-from .viewer.scene import make_scene as make_scene
+from .viewer.scene import Scene as Scene, feature_scene as feature_scene, make_scene as make_scene

@@ -19,7 +19,7 @@ from monitor.core import (
     os_errors_of,
 )
 from monitor.identification import SelectionSettings, SpectralShape
-from monitor.publish import LookedRecording, read_line, read_lines
+from monitor.publish import LookedRecording, read_line, read_lines, read_summary
 from monitor.runs.look import LEAST_SAMPLES, Stretches, look, mac, too_short
 from monitor.runs.readers import Options, as_recordings
 from monitor.runs.recordings import OnWarning
@@ -210,7 +210,7 @@ def describe_recordings(sides: Sequence[Recorded], blocks: Sequence[Sequence[Arr
 
 
 Line = dict[str, Any]
-"""A window of results.jsonl that has modes."""
+"""A window of results.jsonl that has modes, or a judged reading of features."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -225,14 +225,17 @@ class Results:
 
     @classmethod
     def read(cls, folder: Path) -> Results:
-        """Read it; BadInputError or MissingInputError where no window has modes."""
+        """Read it; BadInputError or MissingInputError where no window has modes, and no feature was judged."""
         lines = _windows_with_modes(folder / _RESULTS)
-        return cls(str(folder), (), _modes_of_lines(lines), "", tuple(lines))
+        told = read_summary(folder).get("known", {}).get("names", ())
+        sigma = lines[0].get("residual_sigma") or ()
+        names = tuple(name for name, _ in zip(told or map(str, range(1, len(sigma) + 1)), sigma, strict=False))
+        return cls(str(folder), names, _modes_of_lines(lines), "", tuple(lines))
 
     @property
     def decay_s(self) -> float:
-        """Decay time of the lowest mode."""
-        return self.modes[0].decay_s
+        """Decay time of the lowest mode; 0 for features."""
+        return self.modes[0].decay_s if self.modes else 0.0
 
     @property
     def lengths_s(self) -> tuple[float, ...]:
@@ -268,7 +271,15 @@ class Results:
         return {"level": means} if np.isfinite(means).all() else {}
 
     def indices(self, blocks: Sequence[list[Line]]) -> dict[str, Array]:
-        """Average the damage index of the windows."""
+        """Average the damage index of the windows, or what the covariates leave of each feature."""
+        if self.channels:
+            left = [np.array([line["residual_sigma"] for line in block], dtype=float) for block in blocks]
+            of_features = np.array([np.ma.masked_invalid(one).mean(axis=0).filled(np.nan) for one in left])
+            return {
+                f"{name}: left by the covariates, in healthy standard deviations": column
+                for name, column in zip(self.channels, of_features.T, strict=True)
+                if np.isfinite(column).all()
+            }
         told = [[line["ddi"] for line in block if line.get("ddi")] for block in blocks]
         if not all(told):
             return {}
@@ -305,7 +316,7 @@ def describe_results(
 
 def _modes_of_lines(lines: Sequence[Line]) -> tuple[Mode, ...]:
     """Average the modes of windows, each by its number in the model or in the line."""
-    numbers = [line.get("model_modes") or list(range(len(line["frequencies_hz"]))) for line in lines]
+    numbers = [line.get("model_modes") or list(range(len(line["frequencies_hz"] or ()))) for line in lines]
     modes = []
     for number in sorted({number for own in numbers for number in own}):
         rows = [(line, own.index(number)) for line, own in zip(lines, numbers, strict=True) if number in own]
@@ -315,7 +326,7 @@ def _modes_of_lines(lines: Sequence[Line]) -> tuple[Mode, ...]:
 
 
 def _windows_with_modes(path: Path) -> list[Line]:
-    """Read the windows of results.jsonl that have modes, one at least."""
+    """Read the windows of results.jsonl that have modes or judged features, one at least."""
     if not path.is_file():
         raise MissingInputError(f"{path}: does not exist; a folder of results is made by replay or run")
     judged = []
@@ -325,9 +336,10 @@ def _windows_with_modes(path: Path) -> list[Line]:
                 line = read_line(text)
             except ValueError as error:
                 raise BadInputError(f"{path}: line {number}: {error}") from error
-            judged += [line] if line.get("frequencies_hz") else []
+            is_feature = line["skipped"] is None and line.get("residual_sigma")
+            judged += [line] if line.get("frequencies_hz") or is_feature else []
     if not judged:
-        raise BadInputError(f"{path}: no window has modes")
+        raise BadInputError(f"{path}: no window has modes, and no feature was judged")
     return judged
 
 

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
-from monitor.core import Array, BadInputError, Level, OnProgress, Step, rounded, write_atomically
+from monitor.core import Array, BadInputError, Level, OnProgress, Step, WindowResult, rounded
 from monitor.damage import (
     FALSE_ANNOUNCEMENTS_PER_YEAR,
     LAGS_H,
+    TOGETHER,
+    AlarmSettings,
     FeatureJudge,
+    FeatureModel,
     FeatureTable,
-    FeatureVerdict,
+    Known,
+    LearnedRange,
+    assess,
     judge_features,
 )
-from monitor.runs.readers import delimited, stamps
-from monitor.runs.readers.base import Options, read_bytes
-from monitor.runs.readers.delimited import Text
-from monitor.runs.readers.dialect import CALENDAR, HEAD, MARKS, Dialect, guess, is_missing, is_number, split
-from monitor.runs.readers.table import Table, without_fillers
+from monitor.publish import Summary, facts_of_line, feature_scene, to_json, window_line
+from monitor.runs.readers import formats
+from monitor.runs.readers.base import File, Limits, Options, read_bytes
+from monitor.runs.readers.table import Table
+from monitor.runs.replay import ResultFiles
+from monitor.runs.viewer import close_view, open_view
 
-_NAMED_LINES = 5
-"""Most lines that a message names. [lines; judgement]"""
 _NEAR_ZERO = 0.5
 """Smallest reading over the median one, in size, from which none is near zero. [ratio; judgement]"""
 _LEARNS = "learns the features of the healthy rows"
-RESULT_FILES = ("results.jsonl", "summary.json")
-"""Files that are written. [names; definition]"""
 
 
 def features(
@@ -44,10 +47,10 @@ def features(
     on_progress: OnProgress = lambda _: None,
     false_announcements_per_year: float = FALSE_ANNOUNCEMENTS_PER_YEAR,
 ) -> dict[str, Any]:
-    """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
+    """Learn the features' law from the rows up to a time, judge the later ones, and write the files of a replay.
 
-    The file is a table of text of any dialect with a line of column names.  The column `options.time` holds dates in any form (of
-    `options.zone`, or UTC, where they name no zone) or numbers, as s since 1970, or since `options.start_ns`.
+    The file is of any format that `import` reads, with names of its columns.  The column `options.time` holds dates in any form
+    (of `options.zone`, or UTC, where they name no zone) or numbers, as s since 1970, or since `options.start_ns`.
 
     Raises MissingInputError or BadInputError if the file cannot be read or used; the message names the place.
     """
@@ -55,16 +58,55 @@ def features(
     table = read_table(path, options, names, covariates, on_warning)
     on_progress(Step(_LEARNS, then="judges the rows"))
     try:
-        judge, verdicts = judge_features(table, train_until_ns, on_progress, false_announcements_per_year)
+        judge, results = judge_features(table, train_until_ns, on_progress, false_announcements_per_year)
     except BadInputError as error:
         raise BadInputError(f"{path}: {error}: choose a later --train-until, or leave the feature out") from error
-    if not verdicts:
+    if not results:
         raise BadInputError(f"{path}: no row is later than --train-until: nothing to judge")
-    out.mkdir(parents=True, exist_ok=True)
-    write_atomically(out / "results.jsonl", "".join(json.dumps(_line(v), allow_nan=False) + "\n" for v in verdicts))
-    summary = _summary(judge, verdicts)
-    write_atomically(out / "summary.json", json.dumps(summary, indent=1, allow_nan=False) + "\n")
-    return summary
+    return _publish(path, judge, results, out, false_announcements_per_year, on_warning)
+
+
+def _publish(
+    path: Path,
+    judge: FeatureJudge,
+    results: Sequence[WindowResult],
+    out: Path,
+    per_year: float,
+    on_warning: Callable[[str], None],
+) -> dict[str, Any]:
+    """Write the results as those of a replay, and return the content of summary.json."""
+    known, learned = _known(judge), {c.name: LearnedRange("", *c.range) for c in judge.models[0].basis.covariates}
+    begun, summary, written = time.monotonic(), Summary(), ResultFiles(out)
+    scene = feature_scene(path.name, judge.parts, learned)
+    view = open_view(scene, file=out / "live.rrd", on_warning=on_warning)
+    try:
+        for result in results:
+            line = window_line(result)
+            summary.window(result, facts_of_line(line), known)
+            written.window(result, to_json(line))
+            if view is not None:
+                view.state(assess(summary.course, known))
+                view.window(result, "")
+        data_s = (results[-1].t_end_ns - results[0].t_end_ns) * 1e-9
+        content = summary.content(data_s / max(time.monotonic() - begun, 1e-9), [])
+        content = {
+            **assess(summary.course, known, whole=True).content,
+            **content,
+            "judged": content["windows"] - content["skipped"],
+            "announced": sum(r.alarm.level is not Level.NORMAL for r in results),
+            "known": asdict(known),
+            "covariates_learned": {name: of._asdict() for name, of in learned.items()},
+            "thresholds": {"false_announcements_per_year": per_year},
+            "features": [_learned(model) for model in judge.models],
+        }
+        written.close(content, [])
+    except BaseException:
+        written.abandon()
+        if view is not None:
+            view.abort()
+        raise
+    close_view(view, out / "live.rrd", on_warning)
+    return content
 
 
 def read_table(
@@ -72,69 +114,29 @@ def read_table(
 ) -> FeatureTable:
     """Read the columns of a table; rows that cannot be read are left out and named (errors as of `features`)."""
     assert options.time is not None
-    wanted = [options.time, *names, *covariates]
-    text = _read_rows(path, wanted, on_warning)
-    all_ns = delimited.times_in(text, 0, on_warning, options.zone)
-    if options.start_ns is not None:
-        all_ns = all_ns + (options.start_ns - all_ns[0])
+    wanted = (options.time, *names, *covariates)
+    read = _table_with(formats.read(File(path, read_bytes(path), options, Limits(), on_warning, wanted=wanted)), wanted)
+    start_ns = read.start_ns if options.start_ns is None else options.start_ns
+    all_ns = read.clock_ns if start_ns is None else read.clock_ns + (start_ns - read.clock_ns[0])
     if (np.diff(all_ns) < 0).any():
         on_warning(f"{path}: the times do not increase: the rows were sorted")
     t_ns, first = np.unique(all_ns, return_index=True)
     if t_ns.size < all_ns.size:
         on_warning(f"{path}: {all_ns.size - t_ns.size} rows repeat a time: of each the first was kept")
-    read = Table(path, tuple(wanted[1:]), (), text.values(range(1, len(wanted)), on_warning))
-    values = dict(zip(read.columns, without_fillers(read, on_warning).values[first].T, strict=True))
-    for name, column in values.items():
-        _doubt_zeros(path, name, column, on_warning)
+    values = dict(zip(read.columns, read.values[first].T, strict=True))
+    for name in wanted[1:]:
+        _doubt_zeros(path, name, values[name], on_warning)
     return FeatureTable(t_ns, {n: values[n] for n in names}, {n: values[n] for n in covariates})
 
 
-def _read_rows(path: Path, wanted: list[str], on_warning: Callable[[str], None]) -> Text:
-    """Read the rows that can be read, as a table of the wanted columns alone."""
-    lines = delimited.lines_of(delimited.decode(path, read_bytes(path)))
-    at, delimiter, header = _heading(lines, wanted)
-    if absent := [name for name in wanted if name not in header]:
-        raise BadInputError(f"{path}: no column {', '.join(absent)}; the columns are {', '.join(header)}")
-    if twice := sorted({name for name in wanted if header.count(name) > 1 or wanted.count(name) > 1}):
-        raise BadInputError(f"{path}: column {', '.join(twice)} stands or is named twice: give each its own name")
-    columns = [header.index(name) for name in wanted]
-    rows: dict[int, list[str]] = {}
-    bad: dict[int, str] = {}
-    for number, line in enumerate(lines[at + 1 :], at + 2):
-        cells = split(line, delimiter)
-        if not any(cells):
-            continue
-        if len(cells) < len(header) or any(cells[len(header) :]):
-            bad[number] = f"{len(cells)} fields of {len(header)}"
-        else:
-            rows[number] = [cells[column] for column in columns]
-    if not rows:
-        raise BadInputError(f"{path}: no row can be read")
-    dialect = guess(path, ["\t".join(cells) for cells in (wanted, *rows.values())], wanted[0], ("\t",))
-    bad |= {number: reason for number, cells in rows.items() if (reason := _unreadable(cells, dialect))}
-    if bad:
-        named = "; ".join(f"line {number}: {bad[number]}" for number in sorted(bad)[:_NAMED_LINES])
-        more = f" and {len(bad) - _NAMED_LINES} more" if len(bad) > _NAMED_LINES else ""
-        on_warning(f"{path}: left out {named}{more}")
-    good = [number for number in rows if number not in bad]
-    if not good:
-        raise BadInputError(f"{path}: no row can be read")
-    return Text(path, ["\t".join(rows[number]) for number in good], good, dialect, ())
-
-
-def _heading(lines: list[str], wanted: list[str]) -> tuple[int, str | None, list[str]]:
-    """Find the line, and the mark between its cells, that names most of the wanted columns, the most cells among those."""
-    cut = ((at, mark, split(line.lstrip("#%! "), mark)) for at, line in enumerate(lines[:HEAD]) for mark in MARKS)
-    return max(cut, key=lambda one: (len({*wanted} & {*one[2]}), -one[0], len(one[2])))
-
-
-def _unreadable(cells: list[str], dialect: Dialect) -> str:
-    """Return why a row of the wanted columns cannot be read; empty where it can."""
-    time, *others = cells
-    is_time = stamps.is_time if dialect.columns[0].role in CALENDAR else is_number
-    if not is_time(time):
-        return f"{time!r} is no time"
-    return next((f"{cell!r} is no number" for cell in others if not (is_missing(cell) or is_number(cell))), "")
+def _table_with(tables: Sequence[Table], wanted: Sequence[str]) -> Table:
+    """Find the table that has times and the wanted columns, but for that of the times, which a reader may have taken as such."""
+    for table in tables:
+        if table.time_ns is not None and {*wanted[1:]} <= {*table.columns}:
+            return table
+    known = [name for table in tables for name in table.columns]
+    absent = [name for name in wanted[1:] if name not in known] or ["of times beside the others"]
+    raise BadInputError(f"{tables[0].path}: no column {', '.join(absent)}; the columns are {', '.join(known)}")
 
 
 def _doubt_zeros(path: Path, name: str, values: Annotated[Array, "n"], on_warning: Callable[[str], None]) -> None:
@@ -148,67 +150,29 @@ def _doubt_zeros(path: Path, name: str, values: Annotated[Array, "n"], on_warnin
         )
 
 
-def _line(verdict: FeatureVerdict) -> dict[str, Any]:
+def _known(judge: FeatureJudge) -> Known:
+    """Collect what the state depends on and no reading changes."""
+    parts = judge.parts
+    return Known(
+        names=(*parts.features, TOGETHER),
+        has_baseline=True,
+        alarm_loss=AlarmSettings().alarm_loss,
+        misfit=1.0,
+        n_modes=len(parts.features),
+        relative=parts.relative,
+    )
+
+
+def _learned(model: FeatureModel) -> dict[str, Any]:
+    """Collect what was learned of a feature."""
     return {
-        "t_end_ns": verdict.t_ns,
-        "time": f"{np.datetime64(verdict.t_ns, 'ns').astype('datetime64[s]')}Z",
-        "residual_sigma": rounded(list(verdict.residual_sigma), 6),
-        "alarm": {"level": verdict.level.value, "features": list(verdict.changed), "reason": verdict.reason},
-        "years": rounded(verdict.years, 4),
-        "skipped": verdict.skipped and verdict.skipped.reason,
+        "feature": model.name,
+        "relative": model.log,
+        "readings": model.readings,
+        "residual_std": rounded(model.std, 6),
+        "variance_explained": rounded(model.explained, 4),
+        "covariates": {
+            c.name: {"range": list(c.range), "lag_s": 3600.0 * LAGS_H[c.lag]} for c in model.basis.covariates
+        },
+        "confounded": [[a, b, round(r, 3)] for a, b, r in model.confounded()],
     }
-
-
-def _summary(judge: FeatureJudge, verdicts: list[FeatureVerdict]) -> dict[str, Any]:
-    learned = [
-        {
-            "feature": model.name,
-            "relative": model.log,
-            "readings": model.readings,
-            "residual_std": rounded(model.std, 6),
-            "variance_explained": rounded(model.explained, 4),
-            "covariates": {
-                c.name: {"range": list(c.range), "lag_s": 3600.0 * LAGS_H[c.lag]} for c in model.basis.covariates
-            },
-            "confounded": [[a, b, round(r, 3)] for a, b, r in model.confounded()],
-        }
-        for model in judge.models
-    ]
-    episodes = _episodes(verdicts)
-    skipped = sum(v.skipped is not None for v in verdicts)
-    last = verdicts[-1]
-    state = "not_judged" if skipped == len(verdicts) else last.level.value
-    headline = {
-        "not_judged": "No feature could be judged.",
-        "normal": f"No change of {', '.join(m.name for m in judge.models)} beyond what the covariates explain.",
-    }.get(state, f"{state.upper()}: {last.reason}")
-    return {
-        "state": state,
-        "headline": headline,
-        "windows": len(verdicts),
-        "judged": len(verdicts) - skipped,
-        "skipped": skipped,
-        "announced": sum(v.level is not Level.NORMAL for v in verdicts),
-        "alarms": episodes,
-        "features": learned,
-    }
-
-
-def _episodes(verdicts: list[FeatureVerdict]) -> list[dict[str, Any]]:
-    """List the announcements, each by its highest level and what was said of it last."""
-    episodes: list[dict[str, Any]] = []
-    is_open = False
-    for verdict in verdicts:
-        if verdict.level is Level.NORMAL:
-            if is_open:
-                episodes[-1]["t_last_ns"] = verdict.t_ns
-            is_open = False
-            continue
-        if not is_open:
-            episodes.append({"level": verdict.level.value, "t_first_ns": verdict.t_ns, "t_last_ns": None})
-        highest = max(Level(episodes[-1]["level"]), verdict.level, key=lambda level: level.rank)
-        episodes[-1]["level"] = highest.value
-        if verdict.skipped is None:
-            episodes[-1] |= {"features": list(verdict.changed), "reason": verdict.reason}
-        is_open = True
-    return episodes

@@ -28,7 +28,7 @@ from monitor.runs.recordings import (
     without_window,
 )
 from monitor.runs.session import Session
-from monitor.runs.viewer import open_viewer
+from monitor.runs.viewer import close_view, open_viewer
 
 __all__ = [
     "RESULT_FILES",
@@ -124,10 +124,7 @@ def replay(
         factor = pass_through(session, source, paths, spans, speed=speed, on_progress=on_progress, event_suffices=True)
         content = session.content(factor) | recorded_content(session, spans)
         written.close(content, session.online_diagnosis.findings)
-        if view is not None:
-            view.close(timeout_s=120.0)
-    if view is not None and view.failed is not None:
-        on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
+        close_view(view, out / "live.rrd", on_warning)
     warn_of_losses(session, spans, on_warning)
     return content | {"events": list(written.told.values())}
 

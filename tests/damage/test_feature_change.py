@@ -7,8 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from monitor.core import BadInputError, Level
-from monitor.damage import FeatureTable, FeatureVerdict, judge_features
+from monitor.core import BadInputError, FeatureReading, Level, WindowResult, utc
+from monitor.damage import FeatureJudge, FeatureTable, StoryState, judge_features
+from monitor.damage.feature_change import _update
 
 HOUR_NS = 3_600_000_000_000
 
@@ -33,12 +34,21 @@ def bridge(seed: int, loss: float = 0.0, days: int = 160, coldest: float = -8.0)
     return FeatureTable((day * 24 * HOUR_NS).astype(np.int64), hz, {"temperature": degc})
 
 
-def first_warning_h(verdicts: list[FeatureVerdict]) -> float | None:
-    return next(((v.t_ns / HOUR_NS - 120 * 24) for v in verdicts if v.level is Level.WARNING), None)
+def first_warning_h(verdicts: list[WindowResult]) -> float | None:
+    return next(((v.t_end_ns / HOUR_NS - 120 * 24) for v in verdicts if v.alarm.level is Level.WARNING), None)
 
 
-def share_announced(verdicts: list[FeatureVerdict]) -> float:
-    return float(np.mean([v.level is not Level.NORMAL for v in verdicts]))
+def of(result: WindowResult) -> FeatureReading:
+    assert result.features is not None
+    return result.features
+
+
+def changed(result: WindowResult) -> list[str]:
+    return of(result).told(result.alarm)
+
+
+def share_announced(verdicts: list[WindowResult]) -> float:
+    return float(np.mean([v.alarm.level is not Level.NORMAL for v in verdicts]))
 
 
 @pytest.mark.parametrize("seed", [11, 12, 13])
@@ -51,7 +61,7 @@ def test_weather_is_taken_out_and_a_loss_is_found(seed: int) -> None:
     delay_h = first_warning_h(hurt)
     assert delay_h is not None
     assert 0.0 < delay_h < 72.0
-    assert "f1" in hurt[-1].changed and hurt[-1].residual_sigma[0] is not None
+    assert "f1" in changed(hurt[-1]) and np.isfinite(of(hurt[-1]).sigma[0])
 
 
 def test_without_the_covariate_the_loss_drowns_in_the_weather() -> None:
@@ -70,8 +80,8 @@ def test_frost_that_training_did_not_see_is_no_damage() -> None:
     )
     _, verdicts = judge_features(table, 80 * 24 * HOUR_NS)
     assert share_announced(verdicts) < 0.01
-    assert all(v.skipped is None for v in verdicts if any(r is not None for r in v.residual_sigma))
-    assert any("temperature" in v.reason and "below anything learned from" in v.reason for v in verdicts)
+    assert all(v.skipped is None for v in verdicts if np.isfinite(of(v).sigma).any())
+    assert any("temperature" in v.alarm.reason and "below anything learned from" in v.alarm.reason for v in verdicts)
 
 
 def test_missing_covariates_widen_and_do_not_silence() -> None:
@@ -111,17 +121,17 @@ def test_without_a_covariate_each_feature_is_compared_with_the_others() -> None:
     _, healthy = judge_features(unlike(61), 80 * 24 * HOUR_NS)
     assert share_announced(healthy) == 0.0
     _, hurt = judge_features(unlike(61, 0.03), 80 * 24 * HOUR_NS)
-    first = next(v for v in hurt if v.level is Level.WARNING)
-    assert 0.0 < first.t_ns / HOUR_NS - 100 * 24 < 72.0
-    assert "f1" in first.changed
-    assert all(v.changed == ("f1",) for v in hurt[-60:])
+    first = next(v for v in hurt if v.alarm.level is Level.WARNING)
+    assert 0.0 < first.t_end_ns / HOUR_NS - 100 * 24 < 72.0
+    assert "f1" in changed(first)
+    assert all(changed(v) == ["f1"] for v in hurt[-60:])
 
 
 def test_a_feature_alone_is_compared_with_nothing() -> None:
     table = unlike(62)
     gone = {name: np.where(np.arange(values.size) > 1300, np.nan, values) for name, values in table.features.items()}
     _, verdicts = judge_features(FeatureTable(table.t_ns, gone | {"f1": table.features["f1"]}, {}), 80 * 24 * HOUR_NS)
-    assert verdicts[-1].skipped is not None and verdicts[-1].residual_sigma == (None,) * 4
+    assert verdicts[-1].skipped is not None and np.isnan(of(verdicts[-1]).sigma).all()
 
 
 def test_a_change_beyond_all_reason_is_as_rare_as_can_be_told() -> None:
@@ -130,15 +140,18 @@ def test_a_change_beyond_all_reason_is_as_rare_as_can_be_told() -> None:
         name: np.where(table.t_ns > 100 * 24 * HOUR_NS, 0.5 * values, values) for name, values in table.features.items()
     }
     judge, verdicts = judge_features(FeatureTable(table.t_ns, gone, table.covariates), 80 * 24 * HOUR_NS)
-    assert verdicts[-1].level is Level.WARNING and verdicts[-1].years == pytest.approx(1e9 / len(judge.looks))
-    assert all(np.isfinite(v.years) for v in verdicts)
+    assert verdicts[-1].alarm.level is Level.WARNING and of(verdicts[-1]).years == pytest.approx(1e9 / len(judge.looks))
+    assert all(np.isfinite(of(v).years) for v in verdicts)
 
 
 def test_a_rate_of_false_announcements_sets_the_limit() -> None:
     """Of readings that are rare once in so many years, a higher rate announces as many or more."""
     table, until_ns = bridge(52, 0.004), 80 * 24 * HOUR_NS
     told = [
-        sum(v.level is not Level.NORMAL for v in judge_features(table, until_ns, false_announcements_per_year=rate)[1])
+        sum(
+            v.alarm.level is not Level.NORMAL
+            for v in judge_features(table, until_ns, false_announcements_per_year=rate)[1]
+        )
         for rate in (0.01, 1.0, 100.0)
     ]
     assert told[0] <= told[1] <= told[2] and told[0] < told[2]
@@ -150,13 +163,36 @@ def test_a_feature_that_is_gone_leaves_the_others_judged() -> None:
     _, verdicts = judge_features(FeatureTable(table.t_ns, gone, table.covariates), 80 * 24 * HOUR_NS)
     delay_h = first_warning_h(verdicts)
     assert delay_h is not None and 0.0 < delay_h < 72.0
-    assert verdicts[-1].changed == ("f1",)
+    assert changed(verdicts[-1]) == ["f1"]
 
 
 def test_the_size_of_a_change_is_told_with_its_interval_and_its_begin() -> None:
     _, verdicts = judge_features(bridge(54, 0.02), 80 * 24 * HOUR_NS)
-    first = next(v for v in verdicts if v.level is Level.WARNING)
-    begin = np.datetime64(first.t_ns, "ns").astype("datetime64[m]")
-    size, std = (float(text) for text in re.findall(r"f1 ([-+.\d]+) \+- ([.\d]+) %", verdicts[-1].reason)[0])
-    assert f"since {begin}Z" in verdicts[-1].reason
-    assert abs(size + 2.0) < 3.0 * std < 1.0
+    first = next(v for v in verdicts if v.alarm.level is Level.WARNING)
+    begin = utc(first.t_end_ns)
+    size, half = (float(text) for text in re.findall(r"f1 ([-+.\d]+) ± ([.\d]+) %", verdicts[-1].alarm.reason)[0])
+    assert f"since {begin}Z" in verdicts[-1].alarm.reason
+    assert abs(size + 2.0) < 1.5 * half < 1.0
+
+
+def test_a_feature_has_the_alarm_that_its_own_test_raises_and_all_together_what_none_shows_by_itself() -> None:
+    _, own = judge_features(bridge(54, 0.01), 80 * 24 * HOUR_NS)
+    assert own[-1].alarm.active == {1: Level.WARNING} and changed(own[-1]) == ["f1"]
+    _, together = judge_features(unlike(61, 0.03), 80 * 24 * HOUR_NS)
+    assert together[-1].alarm.active == {5: Level.WARNING}
+    assert "the features together (f1 " in together[-1].alarm.reason
+
+
+def test_one_reading_of_a_feature_ends_no_alarm_of_all_together() -> None:
+    """Evidence that is in between holds what was confirmed, and not what one reading said."""
+    judge, alarms, began_ns = FeatureJudge((), (), 10.0), (StoryState(),) * 4, (0, 0, 0)
+    reading = FeatureReading(
+        np.array([0.3, 0.1]), np.diag([0.01, 0.01]), names=("f1", "f2"), sigma=np.ones(2), years=0.0
+    )
+    levels = []
+    for row, (years, own) in enumerate([((20.0, 20.0), False), ((50.0, 5.0), True), *[((5.0, 5.0), False)] * 9], 1):
+        times = [max(0, row - k) for k in (3, 2, 1, 0)]
+        alarms, began_ns = _update(alarms, began_ns, judge, reading, np.array([own, False]), years, times)
+        levels.append((alarms[0].level, alarms[2].level))
+    assert levels[1:3] == [(Level.ADVISORY, Level.WARNING), (Level.NORMAL, Level.WARNING)]
+    assert levels[-1] == (Level.NORMAL, Level.WARNING) and began_ns[2] == 1

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,9 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.core import utc_ns
+from monitor.core import BadInputError, utc_ns
 from monitor.damage import FeatureTable
+from monitor.publish import LINE_SCHEMA
 from monitor.runs import Options, features, zone_named
+from tests.runs.logger_files import workbook
 from tests.support.samples import Cli
 
 ROWS = 400
@@ -45,12 +49,19 @@ def test_a_table_is_judged_and_bad_rows_are_told_by_line(table: Path, main: Cli,
     lines = [json.loads(line) for line in (tmp_path / "out/results.jsonl").read_text().splitlines()]
     summary = json.loads((tmp_path / "out/summary.json").read_text())
     assert json.loads(done.stdout) == {**summary, "out": str(tmp_path / "out")}
-    assert list(lines[0]) == ["t_end_ns", "time", "residual_sigma", "alarm", "years", "skipped"]
-    assert list(lines[0]["alarm"]) == ["level", "features", "reason"]
+    keys = {"t_end_ns", "residual_sigma", "feature_change", "feature_change_std", "alarm", "years", "skipped"}
+    assert keys < set(lines[0]) == set(LINE_SCHEMA["properties"])
+    assert {"level", "features", "reason"} < set(lines[0]["alarm"])
     assert lines[-1]["alarm"]["level"] == "warning" and lines[-1]["alarm"]["features"] == ["f1"]
     first = next(line["t_end_ns"] for line in lines if line["alarm"]["level"] != "normal")
     assert first * 1e-9 >= 1_700_000_000 + 3600 * 350
     assert summary["features"][0]["variance_explained"] > 0.5
+    assert done.returncode == 0 and summary["state"] == "warning"
+    size, half = (
+        float(x) for x in re.findall(r"f1 ([-.\d]+) ± ([.\d]+) %, warning since 2023-11-29", summary["headline"])[0]
+    )
+    assert abs(size + 3.0) < 1.5 * half < 0.5
+    assert [(a["part"], a["level"], a["t_first_ns"]) for a in summary["alarms"]] == [(1, "warning", first)]
 
 
 def test_times_without_a_zone_are_of_the_zone_that_is_named(tmp_path: Path) -> None:
@@ -78,6 +89,65 @@ def test_what_cannot_be_done_is_said(
     assert done.returncode == code
     assert words in done.stderr.replace("\n", " ")
     assert "Traceback" not in done.stderr
+
+
+@pytest.fixture(scope="module")
+def judged(table: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Folders of results: as the table is, and with a feature that does not change."""
+    folder = tmp_path_factory.mktemp("judged")
+    healthy = folder / "healthy.csv"
+    head, *rows = table.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    later = [
+        f"{t},{float(f) / (0.97 if k >= 350 else 1.0) if k > 25 else f},{c}"
+        for k, (t, f, c) in enumerate(cells[23:], 23)
+    ]
+    healthy.write_text("\n".join([head, *later]))
+    until_ns, options = utc_ns("2023-11-23T00:00:00"), Options(time="time")
+    for path, out in ((table, "changed"), (healthy, "healthy")):
+        features.features(path, options, ["f1"], ["temperature"], until_ns, folder / out)
+    return folder / "changed", folder / "healthy"
+
+
+def test_a_report_draws_each_feature_with_what_was_announced_and_no_sensors(
+    judged: tuple[Path, Path], main: Cli, tmp_path: Path
+) -> None:
+    done = main("report", judged[0], "--out", tmp_path / "r.html", "--json")
+    assert done.returncode == 0, done.stderr
+    told, page = json.loads(done.stdout), (tmp_path / "r.html").read_text()
+    assert (told["state"], told["alarms"], told["findings"]) == ("warning", 1, 0)
+    assert "f1 -" in told["headline"] and "warning since 2023-11-29" in told["headline"]
+    assert "f1: change since the healthy time, less what covariates explain, %" in page
+    assert "f1: each reading less what covariates explain, in healthy standard deviations" in page
+    assert "shm-monitor ack" not in page and "noise floor" not in page and "No diagnosis so far" not in page
+    assert 0.9 < told["judged"] / told["windows_due"] <= 1.0
+    done = main("report", judged[1], "--out", tmp_path / "h.html", "--json")
+    assert json.loads(done.stdout)["headline"] == "No change of f1 beyond what the covariates explain."
+
+
+def test_a_view_shows_the_change_and_the_reading_of_each_feature_and_the_state(judged: tuple[Path, Path]) -> None:
+    chunk = pytest.importorskip("rerun.chunk")
+    shown = {c.entity_path: c.to_record_batch() for c in chunk.RrdReader(judged[0] / "live.rrd").stream()}
+    assert {"/modes/change/1", "/modes/sigma/1", "/trust/covariate/temperature/value", "/state/lamp"} <= shown.keys()
+    assert not any(path.startswith(("/frame/stories", "/ddi/story")) for path in shown)
+
+
+def test_two_folders_of_features_are_compared_by_what_the_covariates_leave(
+    judged: tuple[Path, Path], main: Cli, tmp_path: Path
+) -> None:
+    def compared(*folders: Path) -> dict:
+        done = main("compare", *folders, "--json")
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    late = tmp_path / "late"
+    late.mkdir()
+    lines = (judged[0] / "results.jsonl").read_text().splitlines(keepends=True)
+    (late / "results.jsonl").write_text("".join(lines[-50:]))
+    (late / "summary.json").write_text((judged[0] / "summary.json").read_text())
+    said = compared(judged[1], late)
+    assert said["differs"] and said["tests"][0]["what"].startswith("f1: ") and said["tests"][0]["significant"]
+    assert compared(judged[1], judged[1])["differs"] is False
 
 
 def told_table(content: str | bytes, tmp_path: Path, time: str = "time") -> tuple[FeatureTable, str]:
@@ -128,6 +198,24 @@ def test_rows_that_cannot_be_read_are_left_out_wherever_they_stand(tmp_path: Pat
         "line 2: 'soon' is no time; line 5: '2026-02-30' is no time; line 10: '4.0.1' is no number; line 11: 2 f"
         in told
     )
+
+
+def test_a_workbook_a_packed_table_and_arrays_are_read_as_the_table_is(tmp_path: Path) -> None:
+    rows = [[f"2026-03-{k + 1:02d} 06:00:00", 4.0 + k / 100 if k != 3 else "", 5.0 - k] for k in range(28)]
+    head = ["time", "f1", "air"]
+    text = "".join(",".join(map(str, row)) + "\n" for row in [head, *rows])
+    expected, _ = told_table(text, tmp_path)
+    (tmp_path / "f.csv.gz").write_bytes(gzip.compress(text.encode()))
+    workbook(tmp_path / "f.xlsx", [head, *rows])
+    seconds = expected.t_ns * 1e-9
+    np.savez(tmp_path / "f.npz", time=seconds, f1=expected.features["f1"], air=expected.covariates["air"])
+    for name in ("f.csv.gz", "f.xlsx", "f.npz"):
+        found = features.read_table(tmp_path / name, Options(time="time"), ["f1"], ["air"], print)
+        assert found.t_ns.tolist() == expected.t_ns.tolist(), name
+        assert found.features["f1"] == pytest.approx(expected.features["f1"], nan_ok=True), name
+        assert found.covariates["air"] == pytest.approx(expected.covariates["air"]), name
+    with pytest.raises(BadInputError, match="no column f9; the columns are"):
+        features.read_table(tmp_path / "f.npz", Options(time="time"), ["f9"], ["air"], print)
 
 
 @pytest.mark.parametrize(

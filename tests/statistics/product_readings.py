@@ -51,8 +51,8 @@ class Features:
         if not self.verdicts:
             return np.zeros(self.is_changed.size, dtype=bool)
         if limit is None:
-            return np.array([v.skipped is None and v.level.rank >= Level.WARNING.rank for v in self.verdicts])
-        return np.array([v.skipped is None and v.years >= limit for v in self.verdicts])
+            return np.array([v.skipped is None and v.alarm.level.rank >= Level.WARNING.rank for v in self.verdicts])
+        return np.array([v.features is not None and v.features.years >= limit for v in self.verdicts])
 
     def healthy(self, limit: float | None = None) -> Flags:
         return self.announced(limit)[~self.is_changed]

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, Level
-from monitor.damage import FeatureVerdict, judge_features
+from monitor.core import BadInputError, Level, WindowResult
+from monitor.damage import judge_features
 from tests.support import series
 
 DAYS = 60
@@ -34,8 +34,8 @@ def year(name: str, seed: int, change: float, rate: float) -> dict[str, Any]:
         verdicts = judge_features(made.table, made.learned_until_ns, false_announcements_per_year=rate)[1]
     except BadInputError as error:
         return {"episodes": 0, "confirmed": 0, "readings": 1, "judged": 0, "delay_h": math.inf, "refused": str(error)}
-    healthy = [v for v in verdicts if v.t_ns < made.changed_from_ns]
-    found = (v.t_ns for v in verdicts[len(healthy) :] if v.level.rank >= Level.WARNING.rank)
+    healthy = [v for v in verdicts if v.t_end_ns < made.changed_from_ns]
+    found = (v.t_end_ns for v in verdicts[len(healthy) :] if v.alarm.level.rank >= Level.WARNING.rank)
     return {
         "episodes": episodes(healthy, Level.ADVISORY),
         "confirmed": episodes(healthy, Level.WARNING),
@@ -45,9 +45,9 @@ def year(name: str, seed: int, change: float, rate: float) -> dict[str, Any]:
     }
 
 
-def episodes(verdicts: Sequence[FeatureVerdict], least: Level) -> int:
+def episodes(verdicts: Sequence[WindowResult], least: Level) -> int:
     """Count the times at which this level is reached from below."""
-    high = np.array([v.level.rank >= least.rank for v in verdicts], dtype=int)
+    high = np.array([v.alarm.level.rank >= least.rank for v in verdicts], dtype=int)
     return int((np.diff(high, prepend=0) == 1).sum())
 
 

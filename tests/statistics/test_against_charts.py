@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from monitor.core import Level
-from monitor.damage import FeatureTable, FeatureVerdict
+from monitor.core import Alarm, FeatureReading, Level, WindowResult
+from monitor.damage import FeatureTable
 from tests.statistics import charts, product_readings
 from tests.statistics.against_charts import Chart, Told, at_equal, level_with, limit_of, rows, told
 from tests.statistics.product_readings import Features, Modes, Record
@@ -72,9 +72,16 @@ def test_a_limit_is_moved_until_as_many_healthy_readings_are_announced(monkeypat
     t_ns = np.arange(6)
     in_years = [2.0, 0.1, 0.1, 100.0, 3.0]
 
-    def judge_features(table: FeatureTable, until_ns: int) -> tuple[None, list[FeatureVerdict]]:
+    def judge_features(table: FeatureTable, until_ns: int) -> tuple[None, list[WindowResult]]:
         levels = [Level.WARNING if years > 10.0 else Level.NORMAL for years in in_years]
-        return None, [FeatureVerdict(t, (), level, (), "", None, in_years[t]) for t, level in enumerate(levels)]
+        readings = [
+            FeatureReading(np.zeros(1), np.eye(1), names=("f1",), sigma=np.zeros(1), years=years) for years in in_years
+        ]
+        said = [Alarm(level, (), "") for level in levels]
+        return None, [
+            WindowResult(t, t, 0.0, None, None, None, alarm, None, features=reading)
+            for t, (alarm, reading) in enumerate(zip(said, readings, strict=True))
+        ]
 
     monkeypatch.setattr(product_readings, "judge_features", judge_features)
     judge = Features(FeatureTable(t_ns, {}, {}), 0, np.arange(5) >= 3)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monitor.core import Level
-from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from monitor.core import Level, WindowResult
+from monitor.damage import FeatureJudge, FeatureTable, judge_features
 from tests.support.campaign import words
 from tests.support.tower import DAY_NS, TOWER, Tower
 
@@ -45,18 +45,23 @@ class Weeks:
     """What was learned and said."""
 
     judge: FeatureJudge
-    healthy: list[FeatureVerdict]
-    lowered: list[FeatureVerdict]
+    healthy: list[WindowResult]
+    lowered: list[WindowResult]
 
     def announced(self) -> int:
         """Count the hours at which something was announced falsely."""
-        return sum(v.level is not Level.NORMAL for v in self.healthy)
+        return sum(v.alarm.level is not Level.NORMAL for v in self.healthy)
 
     def delay_h(self) -> float | None:
         """Time to the first warning after all frequencies fell, h."""
-        onset_ns = self.lowered[-1].t_ns - LOSS_DAYS * DAY_NS
+        onset_ns = self.lowered[-1].t_end_ns - LOSS_DAYS * DAY_NS
         return next(
-            ((v.t_ns - onset_ns) / 3.6e12 for v in self.lowered if v.t_ns > onset_ns and v.level is Level.WARNING), None
+            (
+                (v.t_end_ns - onset_ns) / 3.6e12
+                for v in self.lowered
+                if v.t_end_ns > onset_ns and v.alarm.level is Level.WARNING
+            ),
+            None,
         )
 
 

@@ -141,7 +141,9 @@ class PeriodResults:
     stiffness: list[Curve] = field(default_factory=list)
     """Stiffness of each story, N/m, with two standard deviations."""
     changes: list[Curve] = field(default_factory=list)
-    """Change of each mode's frequency since the baseline, with two standard deviations, where there is no model."""
+    """Change of each mode's frequency, or feature, since the baseline, with two standard deviations, where there is no model."""
+    residuals: list[Curve] = field(default_factory=list)
+    """What the covariates leave of each feature, in healthy standard deviations."""
     covariates: dict[str, Curve] = field(default_factory=dict)
     """Temperature, level and named covariates of every window, judged or not."""
     misfit: Curve | None = None
@@ -178,8 +180,11 @@ class PeriodResults:
         if skipped:
             return
         of_parts = (self.ddi, "ddi", "ddi_std"), (self.stiffness, "stiffness_n_per_m", "stiffness_std")
-        for curves, key, std in (*of_parts, (self.changes, "frequency_change", "frequency_change_std")):
+        changes = ((self.changes, f"{of}_change", f"{of}_change_std") for of in ("frequency", "feature"))
+        for curves, key, std in (*of_parts, *changes):
             self._add_each(curves, at, line.get(key) or (), line.get(std) or ())
+        sigma = line.get("residual_sigma") or ()
+        self._add_each(self.residuals, at, sigma, [0.0] * len(sigma))
         if (misfit := line.get("misfit")) is not None:
             self.misfit = self.misfit or Curve(self.grid)
             self.misfit.add(at, misfit)
@@ -307,7 +312,8 @@ def _extent(folder: Path) -> tuple[int, int, float]:
     if not head or not tail:
         raise BadInputError(f"{path}: no results in it; was the recording shorter than a window?")
     steps = [b - a for a, b in pairwise(head) if b > a]
-    return head[0], max(int(tail[-1]), head[0]), min(steps, default=10_000_000_000) * 1e-9
+    hop_ns = sorted(steps)[len(steps) // 2] if steps else 10_000_000_000
+    return head[0], max(int(tail[-1]), head[0]), hop_ns * 1e-9
 
 
 def utc(t_ns: float) -> str:

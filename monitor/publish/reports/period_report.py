@@ -20,7 +20,7 @@ from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, AlarmCondition, BadInputError, Level, Skipped
 from monitor.damage import (
-    SPECTRUM,
+    ALONE,
     Assessment,
     Course,
     Known,
@@ -229,7 +229,7 @@ def _standing(period: Period) -> list[Loss]:
     """List the alarms that last, the gravest first, each with the level that it has now where the page is live."""
     now = period.course.judged.active if period.live is not None and period.course.judged is not None else {}
     lasting = (replace(a, level=now.get(a.story, a.level)) for a in period.course.losses if a.t_last_ns is None)
-    return sorted(lasting, key=lambda a: (-a.level.rank, _name(a.story, period) == SPECTRUM, -abs(a.ddi)))
+    return sorted(lasting, key=lambda a: (-a.level.rank, _name(a.story, period) in ALONE, -abs(a.ddi)))
 
 
 def _since(alarm: Loss) -> int:
@@ -252,11 +252,12 @@ def _head(page: Sheet, period: Period) -> None:
         until = f"until {utc(period.results.grid.to_ns)} UTC; " if period.course.windows else ""
         page.lead.append(("Data:", f"{until}{age}."))
     events = [a for a in period.event_alarms if a.unacknowledged]
-    places = [_name(a.story, period) for a in standing if a.story != WHOLE]
+    of_features = bool(period.known.relative)  # which are no places, and of no site with a daemon
+    places = [_name(a.story, period) for a in standing if a.story != WHOLE and not of_features]
     of = {} if live is None else period.conditions  # those of now, not of the end of a period
     over = [story for story, says in of.items() if says == AlarmCondition.RETURNED_UNACKNOWLEDGED]
     page.lead.append(("What to do:", advice(state, places, [_name(story, period) for story in over])))
-    if state.rank > State.NOT_JUDGED.rank or period.contact:
+    if (state.rank > State.NOT_JUDGED.rank and not of_features) or period.contact:
         page.lead.append(("Call:", period.contact or "nobody is named; the site file may, as [site] contact."))
     seen = {
         story
@@ -266,7 +267,7 @@ def _head(page: Sheet, period: Period) -> None:
     waiting = [a.story for a in standing if a.story not in seen] if state.rank >= State.WARNING.rank else []
     asked = [f"--story {story}" for story in waiting] + [f"--event {a.id}" for a in events]
     asked += [f"--story {story}" for story in over]
-    if asked:
+    if asked and not of_features:
         page.lead.append(("Acknowledge:", f"shm-monitor ack SITE.toml {asked[0]} --who NAME"))
 
 
@@ -289,12 +290,14 @@ def _where(page: Sheet, period: Period) -> None:
     for j, c in enumerate(r.ddi or r.changes, 1):
         alarm, (seen, says) = standing.get(j), _sight(j, period)
         state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
-        size = with_interval(100 * c.latest, 100 * c.latest_half) if c.values else _UNKNOWN
+        scale, _ = _unit(j, period)
+        size = with_interval(scale * c.latest, scale * c.latest_half) if c.values else _UNKNOWN
         rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
         rows.append((rank, j, (_name(j, period), state, size, utc(_since(alarm)) if alarm else "", says)))
     what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
     head = ["story", "state", what, "@since, UTC", "what would be seen"]
-    head = head if r.ddi else ["mode", "state", "#change, %", "@since, UTC"]
+    change = "#change, %" if all(period.known.relative) else "#change (where % is not said, in its unit)"
+    head = head if r.ddi else [period.known.parts.part, "state", change, "@since, UTC"]
     page.table(head, [row[: len(head)] for _, _, row in sorted(rows)], most=_MAX_ROWS)
     page.note("Latest value with two standard deviations, about 95 %." if rows else "No window has been judged.")
 
@@ -320,7 +323,8 @@ def _trust(page: Sheet, period: Period) -> None:
     reasons = r.course.skip_reasons or period.course.skip_reasons
     rows = [(Skipped(why).mend, str(n)) for why, n in sorted(reasons.items(), key=lambda item: -item[1])]
     missing = 0 if period.live else r.due - r.course.windows
-    rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
+    none = "no row in the table" if period.known.relative else "no data, or the monitor did not run"
+    rows += [(none, str(missing))] if missing > 0 else []
     rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
     page.table(["windows that say nothing, and why", "#windows"], rows, most=_MAX_ROWS)
     title = "Goodness of fit (1: a change of stiffness explains what is seen)"
@@ -387,27 +391,43 @@ def _losses(page: Sheet, period: Period) -> None:
     if r.ddi:
         limit = 100 * alarm_loss if judged and alarm_loss is not None else None
         page.section(f"Stiffness lost {'since the baseline' if judged else 'against the structure file'}", "loss")
-        title, shapes = "stiffness lost, %", 0
+        title, shapes = "stiffness lost", 0
     else:
-        limit = -50 * (period.known.alarm_loss if alarm_loss is None else alarm_loss)
-        page.section("Change of the modes since the baseline", "loss")
-        title, shapes = "frequency since the baseline, less what covariates explain, %", period.known.n_modes or 0
+        features, shapes = bool(period.known.relative), period.known.n_modes or 0
+        limit = None if features else -50 * (period.known.alarm_loss if alarm_loss is None else alarm_loss)
+        what, since = ("features", "healthy time") if features else ("modes", "baseline")
+        page.section(f"Change of the {what} since the {since}", "loss")
+        title = f"{'change' if features else 'frequency'} since the {since}, less what covariates explain"
     levels = [(0.0, "before dashed"), *([] if limit is None else [(limit, "limit dashed")])]
-    reach = [100.0 * end for _, c in curves for end in c.range]
+    scales = {j: _unit(j, period) for j, _ in curves}
+    reach = [scales[j][0] * end for j, c in curves for end in c.range]
     y = min(*reach, -0.1, limit or 0.0), max(*reach, 0.1, limit or 0.0)
     charts = []
     for j, c in curves:
         (seen, says), parts = _sight(j, period) if r.ddi else (True, ""), {j, j + shapes, WHOLE}
-        chart = _curve(period, f"{_name(j, period)}: {title}", c, levels, scale=100.0, y=y, parts=[*parts], says=says)
+        parts |= {len(curves) + 1} if period.known.relative else set()
+        scale, unit = scales[j]
+        of = f"{_name(j, period)}: {title}{unit}"
+        chart = _curve(period, of, c, levels, scale=scale, y=y if unit else None, parts=[*parts], says=says)
         chart.kind = "" if seen or any(a.story in parts for a in period.course.losses) else "unseen"
         charts.append(chart)
     page.draw(*charts)
     fall = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
+    if period.known.relative:
+        fall = "Shaded where a change was announced; each value is the mean of the latest readings that tells most."
     how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
     page.note(f"{how if r.ddi else fall} {_legend(r.grid)}")
     stiffness = enumerate(r.stiffness, 1)
     more = [_curve(period, f"{_name(j, period)}: stiffness, N/m", c) for j, c in stiffness if c.values]
     page.draw(*more, more="Stiffness in N/m")
+    sigma = "each reading less what covariates explain, in healthy standard deviations"
+    each = [_curve(period, f"{_name(j, period)}: {sigma}", c) for j, c in enumerate(r.residuals, 1) if c.values]
+    page.draw(*each, more="Each reading, in healthy standard deviations")
+
+
+def _unit(part: int, period: Period) -> tuple[float, str]:
+    """Return the factor with which a loss or change is drawn, and its unit as a title ends with."""
+    return (1.0, "") if period.known.relative and not period.known.relative[part - 1] else (100.0, ", %")
 
 
 def _legend(grid: Grid) -> str:
@@ -426,8 +446,8 @@ def _legend(grid: Grid) -> str:
 def _sight(story: int, period: Period) -> tuple[bool, str]:
     """Tell whether a loss of the alarm's size would have been seen in a story, and from which loss on it would."""
     known, window = period.known, period.course.judged
-    if not known.has_baseline:
-        return True, "not judged"
+    if not known.has_baseline or known.relative:
+        return True, "" if known.relative else "not judged"
     detectable = None if window is None else window.detectable
     if story in known.unwatched:
         return False, "NOT WATCHED"
@@ -469,7 +489,10 @@ def _alarms(page: Sheet, period: Period) -> None:
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         where, size = _name(e.story, period), f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
-        size = _UNKNOWN if where == SPECTRUM else size  # which changes by no size
+        size = (
+            period.known.parts.size(e.story, e.ddi, e.ddi_std) if period.known.relative and where not in ALONE else size
+        )
+        size = _UNKNOWN if where in ALONE else size  # which changes by no size
         rows.append((e.level, where, utc(e.t_first_ns), ended, size, diagnosis, actions))
     began = {event.id: utc(event.begin_ns) for event in period.events}
     for alarm in period.event_alarms:
@@ -479,7 +502,8 @@ def _alarms(page: Sheet, period: Period) -> None:
         rows.append((Level.ALARM, what, began.get(alarm.id, _UNKNOWN), lasts, _UNKNOWN, "a limit of the site", seen))
     size = "#stiffness lost" if period.known.n_modes is None else "#change"
     head = ["level", "where", "@from, UTC", "@to, UTC", size, "diagnosis", "acknowledged"]
-    page.table(head, rows[::-1], most=_MAX_ROWS)
+    head = head[:-2] if period.known.relative else head
+    page.table(head, [row[: len(head)] for row in rows[::-1]], most=_MAX_ROWS)
 
 
 def _events(page: Sheet, period: Period, beside: Path | None) -> None:
@@ -538,15 +562,23 @@ def _place(value: float, learned: LearnedRange | None, period: Period) -> str:
     """Say where a value lies in the range that calibration learned from."""
     if learned is None:
         return "not learned"
-    what = "stiffness is" if period.known.n_modes is None else "frequencies are"
+    what = (
+        "features are"
+        if period.known.relative
+        else "stiffness is"
+        if period.known.n_modes is None
+        else "frequencies are"
+    )
     if value < learned.low:
         return f"below it: {what} compared by extrapolation"
     return f"above it: {what} compared by extrapolation" if value > learned.high else "within it"
 
 
 def _sensors(page: Sheet, period: Period) -> None:
-    """Tabulate the sensors' quality and the clocks."""
+    """Tabulate the sensors' quality and the clocks; of features none is known."""
     q = period.quality
+    if period.known.relative:
+        return
     page.section("Sensors", "sensors")
     if period.live is not None:
         page.note(period.live.stream)
@@ -574,7 +606,9 @@ def _known(value: float | None) -> str:
 
 
 def _findings(page: Sheet, period: Period) -> None:
-    """Tabulate the diagnoses and all decisions of people."""
+    """Tabulate the diagnoses and all decisions of people; of features there are none."""
+    if period.known.relative:
+        return
     page.section("Findings: what explains a change", "findings")
     rows = [
         (str(f.get("id", "")), utc(f["t_ns"]), f.get("reason") or "",

@@ -84,25 +84,31 @@ def read_line(text: str | bytes, defaults: Mapping[str, Any] | None = None) -> d
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
     """Collect what the state needs of a window from its line; KeyError, TypeError or ValueError if the line is damaged.
 
-    Changes of frequencies tell that modes are judged: the parts are the modes, then as many shapes.  Else they are stories.
+    Changes of frequencies tell that modes are judged: the parts are the modes, then as many shapes, then the spectrum; those of
+    features that these are, then all together.  Else they are stories.
     """
-    is_modal = line.get("frequency_change") is not None
+    changes = next((line[key] for key in ("frequency_change", "feature_change") if line.get(key) is not None), None)
+    is_modal = changes is not None
     detectable, (stated, stamped) = line.get("detectable_loss"), line.get("rates_hz") or (None, None)
     Level(line["alarm"]["level"])  # a damaged line may have none
     active = {int(j): Level(level) for j, level in line["alarm"].get("active", {}).items()}
     sizes = _sizes(line, is_modal=is_modal)
-    stories = sizes[: len(sizes) // 2] if is_modal else sizes
+    main = sizes if changes is None else sizes[: len(changes)]
     return WindowFacts(
         t_end_ns=line["t_end_ns"],
         window_s=line.get("window_s") or 0.0,
         skipped=line["skipped"],
         active=active,
-        losses={part: reading for part in active if (reading := _reading(sizes, part, is_modal=is_modal)) is not None},
+        losses={
+            part: reading
+            for part in active
+            if (reading := _reading(main if part == WHOLE else sizes[part - 1 : part], is_modal=is_modal)) is not None
+        },
         shelved=tuple(line["alarm"].get("shelved", ())),
         detectable=None if detectable is None else tuple(detectable),
         misfit=line.get("misfit"),
         rms_m_s2=line.get("rms_m_s2"),
-        changes=tuple((size, std) for size, std, _ in stories if size is not None),
+        changes=tuple((size, std) for size, std, _ in main if size is not None),
         left_out=tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
         modal=is_modal,
         rates_hz=None if stated is None or stamped is None else (float(stated), float(stamped)),
@@ -113,23 +119,21 @@ def _sizes(line: Mapping[str, Any], *, is_modal: bool) -> list[tuple[Any, Any, A
     """List each story's loss, its deviation and the stiffness lost; of modes alone each frequency's change, then each shape's.
 
     What the window does not show is None; of a change no stiffness lost is told.  The last of modes alone is the score of the
-    spectrum, of standard deviation 1.
+    spectrum, and of features the years that all together take: they have no size, and 1 for its standard deviation.
     """
     if is_modal:
-        score = line.get("spectrum_score")
-        changes = [*line["frequency_change"], *line["shape_change"], score]
-        stds = [*line["frequency_change_std"], *line["shape_change_std"], None if score is None else 1.0]
+        of = ("feature",) if line.get("frequency_change") is None else ("frequency", "shape")
+        score = line.get("years" if len(of) == 1 else "spectrum_score")
+        changes = [*(x for name in of for x in line[f"{name}_change"]), score]
+        stds = [*(x for name in of for x in line[f"{name}_change_std"]), None if score is None else 1.0]
         return [(None, None, None) if None in pair else (*pair, None) for pair in zip(changes, stds, strict=True)]
     losses = line["ddi"] or []
     return list(zip(losses, line["ddi_std"] or [], line.get("loss_n_per_m") or [None] * len(losses), strict=True))
 
 
-def _reading(
-    sizes: Sequence[tuple[Any, Any, Any]], part: int, *, is_modal: bool
-) -> tuple[float, float, float | None] | None:
-    """Return what an alarm says of a part; `WHOLE`: of the story or mode that changed least; None where it was not seen."""
-    among = sizes[: len(sizes) // 2] if is_modal else sizes
-    known = [one for one in (among if part == WHOLE else sizes[part - 1 : part]) if one[0] is not None]
+def _reading(among: Sequence[tuple[Any, Any, Any]], *, is_modal: bool) -> tuple[float, float, float | None] | None:
+    """Return what an alarm says of some parts: of the one that changed least; None where none was seen."""
+    known = [one for one in among if one[0] is not None]
     return min(known, key=lambda one: abs(one[0]) if is_modal else one[0], default=None)
 
 

@@ -32,6 +32,7 @@ class _Alarm(TypedDict, total=False):
     active: dict[str, str]
     shelved: list[_Integer] | None
     changed: list[str] | None
+    features: list[str] | None
 
 
 def _brief(schema: Any) -> Any:
@@ -124,9 +125,9 @@ def _n_modes(result: WindowResult) -> int:
     return 0 if result.modes is None else len(result.modes.frequencies_hz)
 
 
-def _as_shown(name: str, value: float) -> float:
-    """Return a covariate's value as it is published: the level as RMS drift in m."""
-    return drift_m(value) if name == LEVEL else value
+def shown_as(name: str, value: float, result: WindowResult) -> float:
+    """Return a covariate's value as it is published: the level as RMS drift in m; beside features as it was given."""
+    return drift_m(value) if name == LEVEL and result.features is None else value
 
 
 def _of_shape(which: int) -> Callable[[WindowResult], Any]:
@@ -150,6 +151,7 @@ def _alarm(result: WindowResult) -> dict[str, Any]:
         **announced(alarm),
         "shelved": [j for j, c in alarm.conditions.items() if c is AlarmCondition.SHELVED],
         "changed": [] if result.modal is None else _changed(result.modal, alarm),
+        **({} if result.features is None else {"features": result.features.told(alarm)}),
     }
 
 
@@ -210,7 +212,7 @@ FIELDS = (
     Field("temperature_effect", Kind.NUMBERS, _numbers("damage", "temperature_effect"),
           "Change of ln stiffness of each story that the temperature explains and that was taken out."),
     Field("covariates", Kind.BY_NAME,
-          lambda r: {name: rounded(_as_shown(name, values[0])) for name, values in r.covariates.items()},
+          lambda r: {name: rounded(shown_as(name, values[0], r)) for name, values in r.covariates.items()},
           "Value of each covariate (`level`: RMS story drift, m).", shown=True),
     Field("covariate_effect", Kind.LISTS_BY_NAME,
           lambda r: r.damage and {name: rounded(part) for name, part in r.damage.covariate_effect.items()},
@@ -229,6 +231,16 @@ FIELDS = (
     Field("frequency_effect", Kind.LISTS_BY_NAME,
           lambda r: r.modal and {name: rounded(np.expm1(part)) for name, part in r.modal.ln_frequency_effect.items()},
           "Without a model: relative change of each frequency that each covariate explains and that was taken out."),
+    Field("residual_sigma", Kind.NUMBERS, _numbers("features", "sigma"),
+          "Of features: what the covariates leave of each in this reading, in standard deviations of healthy ones; null where "
+          "it is missing."),
+    Field("feature_change", Kind.NUMBERS, _numbers("features", "change"),
+          "Change of each feature since the healthy time, less what the covariates explain, by the mean of the latest readings "
+          "that tells most: of its logarithm, or of itself where it is not of one sign.", kept=True),
+    Field("feature_change_std", Kind.NUMBERS, _numbers("features", "change_std"),
+          "Its standard deviation.", kept=True),
+    Field("years", Kind.NUMBER, _numbers("features", "years"),
+          "Of features: in how many years a healthy structure shows as much once, in readings in a row."),
     Field("alarm", Kind.ALARM, _alarm,
           "`normal`, `advisory` (significant, not confirmed), `warning` (confirmed), `alarm` (confirmed, 10 % or "
           "more), the stories and the reason; `active` has the level of each story (0: the structure as a whole) "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -35,6 +36,8 @@ def plot(
 
 def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
     """Make the layout with page 0 ("Is it healthy?"), 1 ("Can I trust it?") or 2 ("What does it do now?") in front."""
+    if scene.features is not None:
+        return alone(_of_features(scene, scene.features.features), timeline="time", play_state="following")
     pages = rrb.Tabs(_healthy(scene), _trust(scene), _present_motion(scene), active_tab=page)
     return alone(pages, timeline="time", play_state="following")
 
@@ -127,14 +130,40 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
     return rrb.Horizontal(left, right, column_shares=[2, 3], name="Is it healthy?")
 
 
+def _of_features(scene: Scene, names: Sequence[str]) -> rrb.Horizontal:
+    """Make the one page of features, with the present state at the left, and their history and the covariates' at the right."""
+    left = rrb.Vertical(
+        _lamp(), _state(), rrb.TextDocumentView(origin="/status", name="Latest reading"), row_shares=[0.4, 6, 6]
+    )
+    each = [
+        plot(f"/modes/sigma/{k}", f"{name}: each reading, healthy σ", legend=False) for k, name in enumerate(names, 1)
+    ]
+    more: list[rrb.Container | rrb.View] = [rrb.Grid(*each, grid_columns=2, name="Readings"), *_covariates(scene)]
+    right = rrb.Vertical(
+        plot("/modes/change", "Change since the healthy time, less what covariates explain (% where relative)"),
+        rrb.StateTimelineView(origin="/state", contents="/state", name="State over time", time_view=ALL_TIME),
+        rrb.Tabs(*more, active_tab=0),
+        _events(),
+        row_shares=[6, 2, 6, 3],
+    )
+    return rrb.Horizontal(left, right, column_shares=[2, 3], name="Is it healthy?")
+
+
+def _covariates(scene: Scene) -> list[rrb.TimeSeriesView]:
+    """Make the plots of the covariates."""
+    return [
+        plot(
+            f"/trust/covariate/{rr.escape_entity_path_part(name)}",
+            f"{', '.join(filter(None, (name, learned.unit)))}, and the range learned",
+        )
+        for name, learned in scene.learned.items()
+    ]
+
+
 def _trust(scene: Scene) -> rrb.Horizontal:
     """Make the page of trust, with state, verdict and fit at the left, and the sensors and clocks at the right."""
     fit = plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
-    covariates = [
-        plot(f"/trust/covariate/{rr.escape_entity_path_part(name)}", f"{name}, {learned.unit}, and the range learned")
-        for name, learned in scene.learned.items()
-    ]
-    known = [fit, *covariates] if scene.n_stories else covariates
+    known = [fit, *_covariates(scene)] if scene.n_stories else _covariates(scene)
     left = rrb.Vertical(
         rrb.Horizontal(_state(), rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis")),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),

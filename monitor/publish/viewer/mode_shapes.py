@@ -54,7 +54,7 @@ class ModeShapes:
         self._scene, self._stream, self._to, self._plan = scene, stream, to, scene.plan
         self._sensors = np.array(scene.sensor_floor) - 1
         dofs = scene.drawing.dofs
-        self._n_dofs = int(max(dofs.max(initial=-1), self._sensors.max())) + 1
+        self._n_dofs = int(max(dofs.max(initial=-1), self._sensors.max(initial=-1))) + 1
         self._model_shapes: Array | None = None
         if scene.model is not None:
             self._n_dofs = scene.model.structure.n_dofs

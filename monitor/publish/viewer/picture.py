@@ -9,9 +9,10 @@ import numpy as np
 import rerun as rr
 
 from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
-from monitor.damage import LEVEL, Assessment, drift_m, is_seen
+from monitor.damage import Assessment, is_seen
 from monitor.events import Event
 from monitor.publish.results.event_lines import event_text as words_of, telling
+from monitor.publish.results.window_fields import shown_as
 from monitor.publish.viewer.layout import DRIFT, blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, name_line, ui_radius
@@ -90,6 +91,9 @@ class ResultDrawing:
                 self._style(f"/{entity}/story_{i + 1}", [name] * 3, i)
             marks = rr.SeriesPoints(names=[name], colors=[SERIES[i % len(SERIES)]], marker_sizes=[5.0])
             self._stream.log(f"{DRIFT}/story_{i + 1}", marks, static=True)
+        for i, name in enumerate(() if self._scene.features is None else self._scene.features.features):
+            self._style(f"/modes/change/{i + 1}", [name] * 3, i)
+            self._style(f"/modes/sigma/{i + 1}", [name], i)
         for i in range(self._scene.n_modes):
             for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
@@ -192,11 +196,12 @@ class ResultDrawing:
         self._state.draw(result.t_end_ns)
         self._tell_changes(result)
         self._modes(result)
+        self._features(result)
         self._stiffness(result.stiffness)
         self._damage(result)
         self._shapes.draw(result.modes if result.modes is not None and result.modes.model_mode.size else None)
         self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
-        self._trust.covariates({n: drift_m(v[0]) if n == LEVEL else float(v[0]) for n, v in result.covariates.items()})
+        self._trust.covariates({n: shown_as(n, v[0], result) for n, v in result.covariates.items()})
         self._spectra.window(result)
         if result.modes is not None:
             self._stabilisation(result.modes)
@@ -227,6 +232,18 @@ class ResultDrawing:
             if result.modal is not None and f is not None:  # less what the covariates explain
                 change, change_std = np.expm1(result.modal.ln_frequency[k]), result.modal.ln_frequency_std[k]
             self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
+
+    def _features(self, result: WindowResult) -> None:
+        """Draw the change of every feature, and what the covariates leave of its reading."""
+        said, parts = result.features, self._scene.features
+        if said is None or parts is None:
+            return
+        rows = zip(said.change.tolist(), said.change_std.tolist(), said.sigma.tolist(), parts.relative, strict=True)
+        for k, (change, std, sigma, relative) in enumerate(rows, 1):
+            self._bounded(
+                f"/modes/change/{k}", change if np.isfinite(change) else None, std, 100.0 if relative else 1.0
+            )
+            self._rows.scalars(f"/modes/sigma/{k}", sigma)
 
     def _set_time(self, t_ns: int) -> None:
         """Set the time of what is drawn next, UTC in ns."""

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.base import ClockHealth
 from monitor.config import Configuration
 from monitor.core import Array, ModalEstimate, WindowResult, utc
-from monitor.damage import AnyBaseline, Baseline, LearnedRange, ModalBaseline, learned_ranges
+from monitor.damage import AnyBaseline, Baseline, Features, LearnedRange, ModalBaseline, learned_ranges
 from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
@@ -129,6 +129,8 @@ class Scene:
     """Number of the model's modes, the lowest ones, that are shown."""
     learned: Mapping[str, LearnedRange] = field(default_factory=dict)
     """Range of each covariate at calibration."""
+    features: Features | None = None
+    """The features that are judged in place of a structure."""
 
     @property
     def n_stories(self) -> int:
@@ -147,6 +149,24 @@ class Clocks(NamedTuple):
 
     t_ns: int
     clocks: Sequence[ClockHealth]
+
+
+def feature_scene(name: str, features: Features, learned: Mapping[str, LearnedRange]) -> Scene:
+    """Describe features without waveforms to the viewer: there is no structure to be seen."""
+    none = np.zeros((0, 2), dtype=np.intp)
+    return Scene(
+        name=name,
+        channels=(),
+        sensor_floor=(),
+        drawing=Drawing(np.zeros((1, 3)), np.full((1, 3), -1), none, none[:, 0]),
+        story_names=(),
+        baseline_frequencies_hz=None,
+        has_baseline=True,
+        alarm_loss=1.0,
+        n_modes=0,
+        learned=learned,
+        features=features,
+    )
 
 
 def make_scene(config: Configuration, baseline: AnyBaseline | None) -> Scene:
@@ -233,7 +253,15 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
         head = ("mode", "frequency, Hz (± 2σ)", "baseline, Hz", "damping, % (± 2σ)", "change, % (± 2σ)")
         shown = len(head) if changes else len(head) - 1
         lines += markdown_table(head[:shown], [row[:shown] for row in table])
-    lines += ["", f"{scene.name}, window of {result.window_s:g} s to {utc(result.t_end_ns, seconds=True)} UTC"]
+    if scene.features is not None and result.features is not None and result.skipped is None:
+        sizes = zip(result.features.change.tolist(), result.features.change_std.tolist(), strict=True)
+        told = [
+            (scene.features.name(k), scene.features.size(k, change, std) if np.isfinite(change) else "-")
+            for k, (change, std) in enumerate(sizes, 1)
+        ]
+        lines += markdown_table(("feature", "change, less what covariates explain (± 2σ)"), told)
+    length = f"window of {result.window_s:g} s to" if result.window_s else "reading of"
+    lines += ["", f"{scene.name}, {length} {utc(result.t_end_ns, seconds=True)} UTC"]
     return "\n".join(lines)
 
 

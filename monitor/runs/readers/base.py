@@ -92,6 +92,8 @@ class File:
     on_warning: OnWarning
     is_packed: bool = False
     """Whether another file holds it."""
+    wanted: tuple[str, ...] = ()
+    """Columns of a table of text that alone are read, the times first; by default all."""
 
     @property
     def most_bytes(self) -> int:

@@ -18,6 +18,8 @@ from monitor.runs.readers import stamps
 from monitor.runs.readers.dialect import (
     CALENDAR,
     DATE_PARTS,
+    HEAD,
+    MARKS,
     MIDNIGHT,
     SINCE_1970_S,
     TICKS,
@@ -53,6 +55,8 @@ _SERIAL_DAYS = (
     (7.2e5, 8e5, 719_529.0, "since year 0, as in MATLAB"),
 )
 """Days that are a date: least, most, that of 1970, and in words. [days; 1982 to 2119]"""
+_NAMED_LINES = 5
+"""Most lines that a message names. [lines; judgement]"""
 _LEAST_RATE_HZ = 5.0
 """Rate below which a column of times without a unit is doubted. [Hz; judgement: no building is measured slower]"""
 
@@ -189,6 +193,65 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     if again:
         on_warning(f"{path}: {again} lines of headings stand again among the readings and are left out")
     return Text(path, rows, numbers, dialect, tuple(lines[: dialect.first]))
+
+
+def named_columns(
+    path: Path, text: str, wanted: Sequence[str], on_warning: OnWarning, zone: tzinfo | None = None
+) -> Table:
+    """Read the wanted columns alone, the times first; rows that cannot be read are left out and named.
+
+    Raises BadInputError if a column is missing, or no row can be read.
+    """
+    rows = _named_rows(path, lines_of(text), wanted, on_warning)
+    values = rows.values(range(1, len(wanted)), on_warning)
+    return Table(path, tuple(wanted[1:]), ("",) * (len(wanted) - 1), values, times_in(rows, 0, on_warning, zone))
+
+
+def _named_rows(path: Path, lines: list[str], wanted: Sequence[str], on_warning: OnWarning) -> Text:
+    """Cut the rows that can be read, as a table of the wanted columns alone."""
+    at, delimiter, header = _heading(lines, wanted)
+    if absent := [name for name in wanted if name not in header]:
+        raise BadInputError(f"{path}: no column {', '.join(absent)}; the columns are {', '.join(header)}")
+    if twice := sorted({name for name in wanted if header.count(name) > 1 or wanted.count(name) > 1}):
+        raise BadInputError(f"{path}: column {', '.join(twice)} stands or is named twice: give each its own name")
+    columns = [header.index(name) for name in wanted]
+    rows: dict[int, list[str]] = {}
+    bad: dict[int, str] = {}
+    for number, line in enumerate(lines[at + 1 :], at + 2):
+        cells = split(line, delimiter)
+        if not any(cells):
+            continue
+        if len(cells) < len(header) or any(cells[len(header) :]):
+            bad[number] = f"{len(cells)} fields of {len(header)}"
+        else:
+            rows[number] = [cells[column] for column in columns]
+    if not rows:
+        raise BadInputError(f"{path}: no row can be read")
+    dialect = guess(path, ["\t".join(cells) for cells in (wanted, *rows.values())], wanted[0], ("\t",))
+    bad |= {number: reason for number, cells in rows.items() if (reason := _unreadable(cells, dialect))}
+    if bad:
+        named = "; ".join(f"line {number}: {bad[number]}" for number in sorted(bad)[:_NAMED_LINES])
+        more = f" and {len(bad) - _NAMED_LINES} more" if len(bad) > _NAMED_LINES else ""
+        on_warning(f"{path}: left out {named}{more}")
+    good = [number for number in rows if number not in bad]
+    if not good:
+        raise BadInputError(f"{path}: no row can be read")
+    return Text(path, ["\t".join(rows[number]) for number in good], good, dialect, ())
+
+
+def _heading(lines: list[str], wanted: Sequence[str]) -> tuple[int, str | None, list[str]]:
+    """Find the line, and the mark between its cells, that names most of the wanted columns, the most cells among those."""
+    cut = ((at, mark, split(line.lstrip("#%! "), mark)) for at, line in enumerate(lines[:HEAD]) for mark in MARKS)
+    return max(cut, key=lambda one: (len({*wanted} & {*one[2]}), -one[0], len(one[2])))
+
+
+def _unreadable(cells: list[str], dialect: Dialect) -> str:
+    """Return why a row of the wanted columns cannot be read; empty where it can."""
+    time, *others = cells
+    is_time = stamps.is_time if dialect.columns[0].role in CALENDAR else is_number
+    if not is_time(time):
+        return f"{time!r} is no time"
+    return next((f"{cell!r} is no number" for cell in others if not (is_missing(cell) or is_number(cell))), "")
 
 
 def to_tables(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> list[Table]:
@@ -584,4 +647,4 @@ def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks,
     return whole.astype(np.int64) * ticks + np.rint((numbers - whole) * ticks).astype(np.int64)
 
 
-__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "times_in", "to_tables"]
+__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "named_columns", "to_tables"]

@@ -138,7 +138,10 @@ class Text:
 
     def read(self, file: File) -> list[Table]:
         """Guess its dialect and convert it."""
-        text = delimited.cut(file.path, delimited.decode(file.path, file.raw), file.on_warning, file.options.time)
+        decoded = delimited.decode(file.path, file.raw)
+        if file.wanted:
+            return [delimited.named_columns(file.path, decoded, file.wanted, file.on_warning, file.options.zone)]
+        text = delimited.cut(file.path, decoded, file.on_warning, file.options.time)
         if xsens_dot.is_xsens(text):
             return [xsens_dot.to_table(text, file.on_warning, file.options.zone)]
         return delimited.to_tables(text, file.on_warning, file.options.zone)
