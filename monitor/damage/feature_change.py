@@ -235,6 +235,9 @@ def _judge(
     means = {m: _means(left, m) for m in {look.scatter.m for look in judge.looks}}
     seen = [_Seen.of(look, means[look.scatter.m]) for look in judge.looks]
     confirms = np.array([look.confirms for look in judge.looks])
+    standing = next(
+        (i for i, look in enumerate(judge.looks) if look.scatter.m > 1), 0
+    )  # tells the size where none shows any
     sigma, k = left.residual / np.sqrt(left.variance + left.law), len(judge.models)
     alarms, began_ns, judged_ns = (StoryState(),) * (k + 2), (0,) * (k + 1), [0] * _IN_A_ROW
     for row in range(first, table.t_ns.size):
@@ -246,7 +249,7 @@ def _judge(
             years, own = np.array([one.years[row] for one in seen]), np.array([one.own[row] for one in seen])
             lasting = float((years * confirms).max(initial=0.0))
             counts = confirms if lasting >= judge.least_years else np.ones_like(confirms)
-            at = int((years * counts).argmax())
+            at = int((years * counts).argmax()) if years.any() else standing
             size = seen[at].means.size[row]
             std = np.abs(size / np.where(seen[at].scores[row] == 0.0, np.nan, seen[at].scores[row]))
             beyond = _beyond(judge.models, late, row)
