@@ -237,7 +237,7 @@ def _judge(
     confirms = np.array([look.confirms for look in judge.looks])
     standing = next(
         (i for i, look in enumerate(judge.looks) if look.scatter.m > 1), 0
-    )  # tells the size where none shows any
+    )  # tells the size where none says much
     sigma, k = left.residual / np.sqrt(left.variance + left.law), len(judge.models)
     alarms, began_ns, judged_ns = (StoryState(),) * (k + 2), (0,) * (k + 1), [0] * _IN_A_ROW
     for row in range(first, table.t_ns.size):
@@ -249,7 +249,8 @@ def _judge(
             years, own = np.array([one.years[row] for one in seen]), np.array([one.own[row] for one in seen])
             lasting = float((years * confirms).max(initial=0.0))
             counts = confirms if lasting >= judge.least_years else np.ones_like(confirms)
-            at = int((years * counts).argmax()) if years.any() else standing
+            at = int((years * counts).argmax())
+            at = at if years[at] >= judge.least_years * _OVER else standing
             size = seen[at].means.size[row]
             std = np.abs(size / np.where(seen[at].scores[row] == 0.0, np.nan, seen[at].scores[row]))
             beyond = _beyond(judge.models, late, row)
