@@ -217,8 +217,8 @@ class _Seen:
         """Take a look."""
         evidence, scores = _evidence(look.scatter, means, look.in_a_row)
         tests = 6.0 * (np.isfinite(scores).sum(axis=1, keepdims=True) + 1.0)
-        chance = np.clip(tests * student.sf(np.abs(scores), look.scatter.freedom[0]), _LEAST_CHANCE, 1.0)
-        own = _in_a_row(np.nan_to_num(-np.log(chance)), means, look.in_a_row)
+        chance = np.maximum(tests * student.sf(np.abs(scores), look.scatter.freedom[0]), _LEAST_CHANCE)
+        own = _in_a_row(np.nan_to_num(-np.log(chance), nan=-np.inf), means, look.in_a_row)
         years = look.rate.years
         return cls(means, scores, years(evidence), years(np.minimum(own, evidence[:, None])))
 
