@@ -217,8 +217,8 @@ class _Seen:
         """Take a look."""
         evidence, scores = _evidence(look.scatter, means, look.in_a_row)
         tests = 6.0 * (np.isfinite(scores).sum(axis=1, keepdims=True) + 1.0)
-        chance = np.clip(tests * student.sf(np.abs(scores), look.scatter.freedom[0]), _LEAST_CHANCE, 1.0)
-        own = _in_a_row(np.nan_to_num(-np.log(chance)), means, look.in_a_row)
+        chance = np.maximum(tests * student.sf(np.abs(scores), look.scatter.freedom[0]), _LEAST_CHANCE)
+        own = _in_a_row(np.nan_to_num(-np.log(chance), nan=-np.inf), means, look.in_a_row)
         years = look.rate.years
         return cls(means, scores, years(evidence), years(np.minimum(own, evidence[:, None])))
 
@@ -235,6 +235,9 @@ def _judge(
     means = {m: _means(left, m) for m in {look.scatter.m for look in judge.looks}}
     seen = [_Seen.of(look, means[look.scatter.m]) for look in judge.looks]
     confirms = np.array([look.confirms for look in judge.looks])
+    standing = next(
+        (i for i, look in enumerate(judge.looks) if look.scatter.m > 1), 0
+    )  # tells the size where none says much
     sigma, k = left.residual / np.sqrt(left.variance + left.law), len(judge.models)
     alarms, began_ns, judged_ns = (StoryState(),) * (k + 2), (0,) * (k + 1), [0] * _IN_A_ROW
     for row in range(first, table.t_ns.size):
@@ -247,6 +250,7 @@ def _judge(
             lasting = float((years * confirms).max(initial=0.0))
             counts = confirms if lasting >= judge.least_years else np.ones_like(confirms)
             at = int((years * counts).argmax())
+            at = at if years[at] >= judge.least_years * _OVER else standing
             size = seen[at].means.size[row]
             std = np.abs(size / np.where(seen[at].scores[row] == 0.0, np.nan, seen[at].scores[row]))
             beyond = _beyond(judge.models, late, row)

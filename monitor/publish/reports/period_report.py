@@ -414,7 +414,7 @@ def _losses(page: Sheet, period: Period) -> None:
     page.draw(*charts)
     fall = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
     if period.known.relative:
-        fall = "Shaded where a change was announced; each value is the mean of the latest readings that tells most."
+        fall = "Shaded where a change was announced; each value is the mean of the latest readings that tells most, or of 8."
     how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
     page.note(f"{how if r.ddi else fall} {_legend(r.grid)}")
     stiffness = enumerate(r.stiffness, 1)

@@ -236,7 +236,7 @@ FIELDS = (
           "it is missing."),
     Field("feature_change", Kind.NUMBERS, _numbers("features", "change"),
           "Change of each feature since the healthy time, less what the covariates explain, by the mean of the latest readings "
-          "that tells most: of its logarithm, or of itself where it is not of one sign.", kept=True),
+          "that tells most, or of 8: of its logarithm, or of itself where it is not of one sign.", kept=True),
     Field("feature_change_std", Kind.NUMBERS, _numbers("features", "change_std"),
           "Its standard deviation.", kept=True),
     Field("years", Kind.NUMBER, _numbers("features", "years"),
