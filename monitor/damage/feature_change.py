@@ -99,6 +99,8 @@ class Scatter:
     freedom: tuple[float, float, float]
     """Independent means that it was learned from, as they count for a feature by itself, for one beside the others, and for all
     together: what features do together mostly changes more slowly than how they differ."""
+    shrunk: float
+    """Independent means that the shrinkage of the correlations is worth."""
     law: Annotated[Array, "k"]
     """Share of the law's error in it."""
 
@@ -115,7 +117,7 @@ class Scatter:
             if seen.size:
                 at = np.ix_(rows, seen)
                 known = self.covariance[np.ix_(seen, seen)]
-                found[rows], scores[at] = _chance(means.score[at], known, np.nan_to_num(wider[at]), self.freedom)
+                found[rows], scores[at] = _chance(means.score[at], known, np.nan_to_num(wider[at]), self)
         return found, scores
 
 
@@ -296,7 +298,7 @@ def _evidence(scatter: Scatter, means: Means, in_a_row: int) -> tuple[Annotated[
     """Compute -ln of the chance of healthy means, the least of some in a row, and the standard score of each feature."""
     chance, scores = scatter.chance(means)
     there = np.flatnonzero(np.isfinite(means.score).any(axis=1))
-    least = np.zeros(len(chance))
+    least = np.full(len(chance), -np.inf)
     if there.size >= in_a_row:
         least[there[in_a_row - 1 :]] = np.lib.stride_tricks.sliding_window_view(-chance[there], in_a_row).min(axis=1)
     return least, scores
@@ -308,7 +310,7 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
     everything = np.ones(len(t_ns), dtype=bool)
     for m in _LENGTHS:
         means = _means(left, m)
-        if 2 * FOLDS * m > len(t_ns) or (scatter := _scatter(means, everything)) is None:
+        if (m > 1 and 2 * FOLDS * m > len(t_ns)) or (scatter := _scatter(means, everything)) is None:
             continue
         for in_a_row in (1, _IN_A_ROW) if m == 1 else (_IN_A_ROW,):
             evidence = np.zeros(len(t_ns))
@@ -340,10 +342,19 @@ def _scatter(means: Means, use: Annotated[NDArray[np.bool_], "w"]) -> Scatter | 
     noise = float(((1.0 - r**2) ** 2)[off].sum()) / alone
     shrink = min(1.0, noise / max(float((r[off] ** 2).sum()), 1e-12)) if k > 1 else 0.0
     covariance = np.where(off, (1.0 - shrink) * covariance, covariance)
+    shrunk = alone * shrink / max(1.0 - shrink, 1e-12)
+    least = 2.0 + _taken(k, shrunk)
+    if alone < least:
+        return None
     inverse = np.linalg.inv(covariance)
     root = np.linalg.cholesky(inverse)
     freedom = alone, _independent(x @ inverse, means.m), _independent(x @ root, means.m)
-    return None if min(freedom[1:]) < k + 1.0 else Scatter(means.m, covariance, freedom, means.law[rows].mean(axis=0))
+    return None if min(freedom) < least else Scatter(means.m, covariance, freedom, shrunk, means.law[rows].mean(axis=0))
+
+
+def _taken(k: int, shrunk: float) -> float:
+    """Compute how many independent means the correlations of k features take: as many fewer as their shrinkage is worth."""
+    return max(k - 1.0 - shrunk, 0.0)
 
 
 def _independent(x: Annotated[Array, "w k"], m: int) -> float:
@@ -355,34 +366,37 @@ def _chance(
     x: Annotated[Array, "r k"],
     covariance: Annotated[Array, "k k"],
     wider: Annotated[Array, "r k"],
-    freedom: tuple[float, float, float],
+    scatter: Scatter,
 ) -> tuple[Annotated[Array, "r"], Annotated[Array, "r k"]]:
     """Compute ln of the probability of the least likely of the tests on healthy means, and each feature's standard score.
 
     `wider` is the variance from the error of the law beyond that in the covariance.
     """
-    k = x.shape[1]
+    k, freedom = x.shape[1], scatter.freedom
+    taken = _taken(k, scatter.shrunk)
     each = covariance + wider[:, :, None] * np.eye(k)
     inverse = np.linalg.inv(each)
     turned = (inverse @ x[:, :, None])[:, :, 0]
     std = np.sqrt(np.diagonal(each, axis1=1, axis2=2))
     alone, beside = x / std, turned / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
     whole = alone.sum(axis=1) / np.sqrt((each / std[:, :, None] / std[:, None, :]).sum(axis=(1, 2)))
-    left = max(freedom[2] - k + 1.0, 1.0)
+    left = max(freedom[2] - taken, 1.0)
     chances = (
         (k + 1.0) * student.sf(np.abs(np.column_stack([alone, whole])).max(axis=1), freedom[0]),
-        float(k) * student.sf(np.abs(beside).max(axis=1), max(freedom[1] - k + 1.0, 1.0)),
+        float(k) * student.sf(np.abs(beside).max(axis=1), max(freedom[1] - taken, 1.0)),
         0.5 * fisher.sf((turned * x).sum(axis=1) * left / (freedom[2] * k), k, left),
     )
-    return np.log(np.clip(6.0 * np.minimum.reduce(chances), _LEAST_CHANCE, 1.0)), alone
+    return np.log(np.maximum(6.0 * np.minimum.reduce(chances), _LEAST_CHANCE)), alone
 
 
 def _rate(evidence: Annotated[Array, "w"], length: int, years: float) -> Rate:
     """Learn how often healthy readings reach an evidence, from episodes that lie at least a stretch's length apart.
 
-    Of a right probability the mean excess is 1, which counts as some episodes more.
+    Above the level lie as many stretches as the root of their number.  Of a right probability the mean excess is 1, which counts
+    as some episodes more.
     """
-    level = float(np.quantile(evidence, 0.9))
+    judged = evidence[np.isfinite(evidence)]
+    level = float(np.quantile(judged, 1.0 - min(np.sqrt(length / judged.size), 1.0)))
     above = np.flatnonzero(evidence > level)
     begins = np.flatnonzero(np.diff(above, prepend=-length - 1) > length).tolist()
     peaks = np.array([evidence[above[a:b]].max() for a, b in pairwise([*begins, above.size])]) - level

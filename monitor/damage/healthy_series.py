@@ -34,8 +34,8 @@ LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
 """First-order lags that are tried. [h; judgement: air to steel deck, and to thick concrete]"""
 FOLDS = 8
 """Parts of the healthy time that are left out of the learning in turn. [1; convention: cross-validation by 5 to 10 folds]"""
-_LEAST_READINGS = 20
-"""Fewest healthy readings from which a feature is learned. [readings; judgement: two or three of each fold]"""
+_LEAST_READINGS = 10
+"""Fewest healthy readings from which a feature is learned. [readings; judgement: one or two of each fold]"""
 _BEND_STEPS = 8
 """Steps between bends over the learned range of a covariate, and as many beyond it. [1; judgement: finer steps of as much prior
 variance give the same law]"""

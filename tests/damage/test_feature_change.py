@@ -9,6 +9,7 @@ import pytest
 
 from monitor.core import BadInputError, Level
 from monitor.damage import FeatureTable, FeatureVerdict, judge_features
+from tests.support import series
 
 HOUR_NS = 3_600_000_000_000
 
@@ -86,7 +87,7 @@ def test_missing_covariates_widen_and_do_not_silence() -> None:
 def test_too_few_or_constant_readings_are_refused_by_name() -> None:
     table = bridge(41)
     with pytest.raises(BadInputError, match=r"'f1'.*healthy readings"):
-        judge_features(table, int(1.5 * 24 * HOUR_NS))
+        judge_features(table, int(0.5 * 24 * HOUR_NS))
     stuck = FeatureTable(table.t_ns, {"f3": np.full(table.t_ns.size, 2.0)}, table.covariates)
     with pytest.raises(BadInputError, match="'f3'"):
         judge_features(stuck, 80 * 24 * HOUR_NS)
@@ -160,3 +161,27 @@ def test_the_size_of_a_change_is_told_with_its_interval_and_its_begin() -> None:
     size, std = (float(text) for text in re.findall(r"f1 ([-+.\d]+) \+- ([.\d]+) %", verdicts[-1].reason)[0])
     assert f"since {begin}Z" in verdicts[-1].reason
     assert abs(size + 2.0) < 3.0 * std < 1.0
+
+
+@pytest.mark.parametrize("seed", [20, 22, 24, 26])
+def test_a_change_of_a_day_is_found_after_six_days(seed: int) -> None:
+    """144 hours are learned, of one temperature; two days later the first frequency falls by 2 %."""
+    made = series.series("144 hours learned", seed, 0.02)
+    _, verdicts = judge_features(made.table, made.learned_until_ns)
+    healthy = [v for v in verdicts if v.t_ns < made.changed_from_ns]
+    assert not any(v.level is Level.WARNING for v in healthy)
+    assert sum(v.level is Level.WARNING for v in verdicts[len(healthy) : len(healthy) + 24]) >= 18
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_as_many_features_as_records_are_judged_by_the_shrunk_relation_among_them(seed: int) -> None:
+    """Ten numbers of each of twenty records, one a day, and of fourteen: a change of many standard deviations is found."""
+    rng = np.random.default_rng(seed)
+    for learned in (14, 20):
+        values = rng.standard_normal((learned + 16, 10)) @ (np.eye(10) + 0.5)
+        values[learned + 8 :] += 30.0
+        t_ns = 24 * HOUR_NS * np.arange(learned + 16)
+        table = FeatureTable(t_ns, {f"a{j}": column for j, column in enumerate(values.T)}, {})
+        _, verdicts = judge_features(table, int(t_ns[learned - 1]))
+        assert all(v.level is Level.NORMAL for v in verdicts[:8])
+        assert sum(v.level is Level.WARNING for v in verdicts[8:]) == 5
