@@ -10,7 +10,8 @@ extrapolated: what is announced is what a healthy structure would show less ofte
 
 References
 ----------
-H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; J. Schaefer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32
+H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; K. Lange, R. Little, J. Taylor, J. Am. Stat. Assoc. 84 (1989) 881-896
+(multivariate t distribution); J. Schaefer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32
 (shrinkage of correlations); J. Pickands, Ann. Statist. 3 (1975) 119-131 (excesses over a high level are exponential).
 """
 
@@ -24,10 +25,19 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher, rankdata, t as student
+from scipy.stats import f as fisher, multivariate_t, rankdata, t as student
 
 from monitor.core import Array, BadInputError, Level, OnProgress, Skipped, Step
-from monitor.damage.healthy_series import FOLDS, FeatureModel, Left, correlation_time, lagged, learn
+from monitor.damage.healthy_series import (
+    FOLDS,
+    TAILS,
+    FeatureModel,
+    Left,
+    correlation_time,
+    lagged,
+    learn,
+    quartiles_over_normal,
+)
 
 _LENGTHS = (1, 8, 16, 32, 64, 128, 256)
 """Readings over which what is left is averaged. [readings; judgement: one, and powers of two whose middle half is not moved by
@@ -39,6 +49,8 @@ FALSE_ANNOUNCEMENTS_PER_YEAR = 0.1
 _TRUSTED = 2
 """Episodes that the chance of the tests counts as, beside those of the healthy time. [1; judgement: a mean that is right within a
 factor of 2; one alone leaves nothing to be found after 6 days, eight announced half a day of a healthy mast's 9]"""
+_PASSES = 8
+"""Passes of covariance and weights of each number of degrees of freedom. [1; simulation: sixteen change no weight by 1 %]"""
 _YEAR_NS = 365.25 * 86400e9
 """A year. [ns; definition]"""
 _LEAST_CHANCE = 1e-300
@@ -328,20 +340,18 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
 
 
 def _scatter(means: Means, use: Annotated[NDArray[np.bool_], "w"]) -> Scatter | None:
-    """Estimate the covariance of means from some of the times; None where too few of them are independent."""
+    """Estimate the covariance of means from some of the times; None where too few of them are independent.
+
+    Single readings count by their weights: means over more have lost those of another mode.
+    """
     rows = use & np.isfinite(means.score).all(axis=1)
     x = means.score[rows]
     k = x.shape[1]
     if len(x) < 2 * means.m:
         return None
-    covariance = x.T @ x / len(x)
-    # Schaefer and Strimmer: the correlations count as far as their squares exceed their variances.
-    z = x / np.sqrt(covariance.diagonal())
-    r, off = z.T @ z / len(x), ~np.eye(k, dtype=bool)
-    alone = _independent(z, means.m)
-    noise = float(((1.0 - r**2) ** 2)[off].sum()) / alone
-    shrink = min(1.0, noise / max(float((r[off] ** 2).sum()), 1e-12)) if k > 1 else 0.0
-    covariance = np.where(off, (1.0 - shrink) * covariance, covariance)
+    alone = _independent(x, means.m)
+    weights = _weights(x, alone) if means.m == 1 else np.ones(len(x))
+    covariance, shrink = _shrunk((x * weights[:, None]).T @ x / len(x), alone)
     shrunk = alone * shrink / max(1.0 - shrink, 1e-12)
     least = 2.0 + _taken(k, shrunk)
     if alone < least:
@@ -350,6 +360,31 @@ def _scatter(means: Means, use: Annotated[NDArray[np.bool_], "w"]) -> Scatter | 
     root = np.linalg.cholesky(inverse)
     freedom = alone, _independent(x @ inverse, means.m), _independent(x @ root, means.m)
     return None if min(freedom) < least else Scatter(means.m, covariance, freedom, shrunk, means.law[rows].mean(axis=0))
+
+
+def _weights(x: Annotated[Array, "r k"], count: float) -> Annotated[Array, "r"]:
+    """Weigh readings by how far out they lie, as the multivariate t distribution of greatest likelihood does.
+
+    Their covariance has the quartiles of most, not the size of a few readings of another mode.
+    """
+    k, found, best = x.shape[1], np.ones(len(x)), -np.inf
+    covariance, _ = _shrunk(x.T @ x / len(x), count)
+    for nu in reversed(TAILS):
+        for _ in range(_PASSES):
+            weights = (nu + k) / (nu + ((x @ np.linalg.inv(covariance)) * x).sum(axis=1))
+            covariance, _ = _shrunk((x * weights[:, None]).T @ x / len(x), count)
+        likelihood = float(multivariate_t.logpdf(x, shape=covariance, df=nu).sum())
+        if likelihood > best:
+            best, found = likelihood, weights * quartiles_over_normal(nu) ** 2
+    return found
+
+
+def _shrunk(covariance: Annotated[Array, "k k"], count: float) -> tuple[Annotated[Array, "k k"], float]:
+    """Shrink the correlations as far as their squares do not exceed their variances; return the share that went."""
+    std, off = np.sqrt(covariance.diagonal()), ~np.eye(len(covariance), dtype=bool)
+    r = (covariance / np.outer(std, std))[off]
+    shrink = min(1.0, float(((1.0 - r**2) ** 2).sum()) / count / max(float((r**2).sum()), 1e-12))
+    return np.where(off, (1.0 - shrink) * covariance, covariance), shrink
 
 
 def _taken(k: int, shrunk: float) -> float:

@@ -163,9 +163,12 @@ def test_the_size_of_a_change_is_told_with_its_interval_and_its_begin() -> None:
     assert abs(size + 2.0) < 3.0 * std < 1.0
 
 
-@pytest.mark.parametrize("seed", [20, 22, 24, 26])
+@pytest.mark.parametrize("seed", [20, 21, 22, 23])
 def test_a_change_of_a_day_is_found_after_six_days(seed: int) -> None:
-    """144 hours are learned, of one temperature; two days later the first frequency falls by 2 %."""
+    """144 hours are learned, of one temperature; two days later the first frequency falls by 2 %.
+
+    Of seeds 21 and 23 one reading of another mode is among those that were learned.
+    """
     made = series.series("144 hours learned", seed, 0.02)
     _, verdicts = judge_features(made.table, made.learned_until_ns)
     healthy = [v for v in verdicts if v.t_ns < made.changed_from_ns]
