@@ -49,7 +49,7 @@ FALSE_ANNOUNCEMENTS_PER_YEAR = 0.1
 _TRUSTED = 2
 """Episodes that the chance of the tests counts as, beside those of the healthy time. [1; judgement: a mean that is right within a
 factor of 2; one alone leaves nothing to be found after 6 days, eight announced half a day of a healthy mast's 9]"""
-_PASSES = 8
+_WEIGHINGS = 8
 """Passes of covariance and weights of each number of degrees of freedom. [1; simulation: sixteen change no weight by 1 %]"""
 _YEAR_NS = 365.25 * 86400e9
 """A year. [ns; definition]"""
@@ -370,7 +370,7 @@ def _weights(x: Annotated[Array, "r k"], count: float) -> Annotated[Array, "r"]:
     k, found, best = x.shape[1], np.ones(len(x)), -np.inf
     covariance, _ = _shrunk(x.T @ x / len(x), count)
     for nu in reversed(TAILS):
-        for _ in range(_PASSES):
+        for _ in range(_WEIGHINGS):
             weights = (nu + k) / (nu + ((x @ np.linalg.inv(covariance)) * x).sum(axis=1))
             covariance, _ = _shrunk((x * weights[:, None]).T @ x / len(x), count)
         likelihood = float(multivariate_t.logpdf(x, shape=covariance, df=nu).sum())
