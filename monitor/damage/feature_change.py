@@ -10,7 +10,8 @@ extrapolated: what is announced is what a healthy structure would show less ofte
 
 References
 ----------
-H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; J. Schaefer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32
+H. Hotelling, Ann. Math. Statist. 2 (1931) 360-378; K. Lange, R. Little, J. Taylor, J. Am. Stat. Assoc. 84 (1989) 881-896
+(multivariate t distribution); J. Schaefer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32
 (shrinkage of correlations); J. Pickands, Ann. Statist. 3 (1975) 119-131 (excesses over a high level are exponential).
 """
 
@@ -24,7 +25,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher, rankdata, t as student
+from scipy.stats import f as fisher, multivariate_t, rankdata, t as student
 
 from monitor.core import (
     Array,
@@ -38,7 +39,16 @@ from monitor.core import (
     utc,
 )
 from monitor.damage.alarm import AlarmSettings, Shown, StoryState, summarize, update_alarm, warning_only
-from monitor.damage.healthy_series import FOLDS, FeatureModel, Left, correlation_time, lagged, learn
+from monitor.damage.healthy_series import (
+    FOLDS,
+    TAILS,
+    FeatureModel,
+    Left,
+    correlation_time,
+    lagged,
+    learn,
+    quartiles_over_normal,
+)
 from monitor.damage.parts import Features
 
 _LENGTHS = (1, 8, 16, 32, 64, 128, 256)
@@ -51,6 +61,8 @@ FALSE_ANNOUNCEMENTS_PER_YEAR = 0.1
 _TRUSTED = 2
 """Episodes that the chance of the tests counts as, beside those of the healthy time. [1; judgement: a mean that is right within a
 factor of 2; one alone leaves nothing to be found after 6 days, eight announced half a day of a healthy mast's 9]"""
+_WEIGHINGS = 8
+"""Passes of covariance and weights of each number of degrees of freedom. [1; simulation: sixteen change no weight by 1 %]"""
 _YEAR_NS = 365.25 * 86400e9
 """A year. [ns; definition]"""
 _LEAST_CHANCE = 1e-300
@@ -101,6 +113,8 @@ class Scatter:
     freedom: tuple[float, float, float]
     """Independent means that it was learned from, as they count for a feature by itself, for one beside the others, and for all
     together: what features do together mostly changes more slowly than how they differ."""
+    shrunk: float
+    """Independent means that the shrinkage of the correlations is worth."""
     law: Annotated[Array, "k"]
     """Share of the law's error in it."""
 
@@ -117,7 +131,7 @@ class Scatter:
             if seen.size:
                 at = np.ix_(rows, seen)
                 known = self.covariance[np.ix_(seen, seen)]
-                found[rows], scores[at] = _chance(means.score[at], known, np.nan_to_num(wider[at]), self.freedom)
+                found[rows], scores[at] = _chance(means.score[at], known, np.nan_to_num(wider[at]), self)
         return found, scores
 
 
@@ -348,8 +362,8 @@ def _evidence(scatter: Scatter, means: Means, in_a_row: int) -> tuple[Annotated[
 
 
 def _in_a_row(evidence: Annotated[Array, "w ..."], means: Means, n: int) -> Annotated[Array, "w ..."]:
-    """Compute the least evidence of n means in a row; 0 where there are fewer."""
-    there, least = np.flatnonzero(np.isfinite(means.score).any(axis=1)), np.zeros(evidence.shape)
+    """Compute the least evidence of n means in a row; -inf where there are fewer."""
+    there, least = np.flatnonzero(np.isfinite(means.score).any(axis=1)), np.full(evidence.shape, -np.inf)
     if there.size >= n:
         least[there[n - 1 :]] = np.lib.stride_tricks.sliding_window_view(evidence[there], n, axis=0).min(axis=-1)
     return least
@@ -361,7 +375,7 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
     everything = np.ones(len(t_ns), dtype=bool)
     for m in _LENGTHS:
         means = _means(left, m)
-        if 2 * FOLDS * m > len(t_ns) or (scatter := _scatter(means, everything)) is None:
+        if (m > 1 and 2 * FOLDS * m > len(t_ns)) or (scatter := _scatter(means, everything)) is None:
             continue
         for in_a_row in (1, _IN_A_ROW) if m == 1 else (_IN_A_ROW,):
             evidence = np.zeros(len(t_ns))
@@ -379,24 +393,56 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
 
 
 def _scatter(means: Means, use: Annotated[NDArray[np.bool_], "w"]) -> Scatter | None:
-    """Estimate the covariance of means from some of the times; None where too few of them are independent."""
+    """Estimate the covariance of means from some of the times; None where too few of them are independent.
+
+    Single readings count by their weights: means over more have lost those of another mode.
+    """
     rows = use & np.isfinite(means.score).all(axis=1)
     x = means.score[rows]
     k = x.shape[1]
     if len(x) < 2 * means.m:
         return None
-    covariance = x.T @ x / len(x)
-    # Schaefer and Strimmer: the correlations count as far as their squares exceed their variances.
-    z = x / np.sqrt(covariance.diagonal())
-    r, off = z.T @ z / len(x), ~np.eye(k, dtype=bool)
-    alone = _independent(z, means.m)
-    noise = float(((1.0 - r**2) ** 2)[off].sum()) / alone
-    shrink = min(1.0, noise / max(float((r[off] ** 2).sum()), 1e-12)) if k > 1 else 0.0
-    covariance = np.where(off, (1.0 - shrink) * covariance, covariance)
+    alone = _independent(x, means.m)
+    weights = _weights(x, alone) if means.m == 1 else np.ones(len(x))
+    covariance, shrink = _shrunk((x * weights[:, None]).T @ x / len(x), alone)
+    shrunk = alone * shrink / max(1.0 - shrink, 1e-12)
+    least = 2.0 + _taken(k, shrunk)
+    if alone < least:
+        return None
     inverse = np.linalg.inv(covariance)
     root = np.linalg.cholesky(inverse)
     freedom = alone, _independent(x @ inverse, means.m), _independent(x @ root, means.m)
-    return None if min(freedom[1:]) < k + 1.0 else Scatter(means.m, covariance, freedom, means.law[rows].mean(axis=0))
+    return None if min(freedom) < least else Scatter(means.m, covariance, freedom, shrunk, means.law[rows].mean(axis=0))
+
+
+def _weights(x: Annotated[Array, "r k"], count: float) -> Annotated[Array, "r"]:
+    """Weigh readings by how far out they lie, as the multivariate t distribution of greatest likelihood does.
+
+    Their covariance has the quartiles of most, not the size of a few readings of another mode.
+    """
+    k, found, best = x.shape[1], np.ones(len(x)), -np.inf
+    covariance, _ = _shrunk(x.T @ x / len(x), count)
+    for nu in reversed(TAILS):
+        for _ in range(_WEIGHINGS):
+            weights = (nu + k) / (nu + ((x @ np.linalg.inv(covariance)) * x).sum(axis=1))
+            covariance, _ = _shrunk((x * weights[:, None]).T @ x / len(x), count)
+        likelihood = float(multivariate_t.logpdf(x, shape=covariance, df=nu).sum())
+        if likelihood > best:
+            best, found = likelihood, weights * quartiles_over_normal(nu) ** 2
+    return found
+
+
+def _shrunk(covariance: Annotated[Array, "k k"], count: float) -> tuple[Annotated[Array, "k k"], float]:
+    """Shrink the correlations as far as their squares do not exceed their variances; return the share that went."""
+    std, off = np.sqrt(covariance.diagonal()), ~np.eye(len(covariance), dtype=bool)
+    r = (covariance / np.outer(std, std))[off]
+    shrink = min(1.0, float(((1.0 - r**2) ** 2).sum()) / count / max(float((r**2).sum()), 1e-12))
+    return np.where(off, (1.0 - shrink) * covariance, covariance), shrink
+
+
+def _taken(k: int, shrunk: float) -> float:
+    """Compute how many independent means the correlations of k features take: as many fewer as their shrinkage is worth."""
+    return max(k - 1.0 - shrunk, 0.0)
 
 
 def _independent(x: Annotated[Array, "w k"], m: int) -> float:
@@ -408,34 +454,37 @@ def _chance(
     x: Annotated[Array, "r k"],
     covariance: Annotated[Array, "k k"],
     wider: Annotated[Array, "r k"],
-    freedom: tuple[float, float, float],
+    scatter: Scatter,
 ) -> tuple[Annotated[Array, "r"], Annotated[Array, "r k"]]:
     """Compute ln of the probability of the least likely of the tests on healthy means, and each feature's standard score.
 
     `wider` is the variance from the error of the law beyond that in the covariance.
     """
-    k = x.shape[1]
+    k, freedom = x.shape[1], scatter.freedom
+    taken = _taken(k, scatter.shrunk)
     each = covariance + wider[:, :, None] * np.eye(k)
     inverse = np.linalg.inv(each)
     turned = (inverse @ x[:, :, None])[:, :, 0]
     std = np.sqrt(np.diagonal(each, axis1=1, axis2=2))
     alone, beside = x / std, turned / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
     whole = alone.sum(axis=1) / np.sqrt((each / std[:, :, None] / std[:, None, :]).sum(axis=(1, 2)))
-    left = max(freedom[2] - k + 1.0, 1.0)
+    left = max(freedom[2] - taken, 1.0)
     chances = (
         (k + 1.0) * student.sf(np.abs(np.column_stack([alone, whole])).max(axis=1), freedom[0]),
-        float(k) * student.sf(np.abs(beside).max(axis=1), max(freedom[1] - k + 1.0, 1.0)),
+        float(k) * student.sf(np.abs(beside).max(axis=1), max(freedom[1] - taken, 1.0)),
         0.5 * fisher.sf((turned * x).sum(axis=1) * left / (freedom[2] * k), k, left),
     )
-    return np.log(np.clip(6.0 * np.minimum.reduce(chances), _LEAST_CHANCE, 1.0)), alone
+    return np.log(np.maximum(6.0 * np.minimum.reduce(chances), _LEAST_CHANCE)), alone
 
 
 def _rate(evidence: Annotated[Array, "w"], length: int, years: float) -> Rate:
     """Learn how often healthy readings reach an evidence, from episodes that lie at least a stretch's length apart.
 
-    Of a right probability the mean excess is 1, which counts as some episodes more.
+    Above the level lie as many stretches as the root of their number.  Of a right probability the mean excess is 1, which counts
+    as some episodes more.
     """
-    level = float(np.quantile(evidence, 0.9))
+    judged = evidence[np.isfinite(evidence)]
+    level = float(np.quantile(judged, 1.0 - min(np.sqrt(length / judged.size), 1.0)))
     above = np.flatnonzero(evidence > level)
     begins = np.flatnonzero(np.diff(above, prepend=-length - 1) > length).tolist()
     peaks = np.array([evidence[above[a:b]].max() for a, b in pairwise([*begins, above.size])]) - level

@@ -34,8 +34,8 @@ LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
 """First-order lags that are tried. [h; judgement: air to steel deck, and to thick concrete]"""
 FOLDS = 8
 """Parts of the healthy time that are left out of the learning in turn. [1; convention: cross-validation by 5 to 10 folds]"""
-_LEAST_READINGS = 20
-"""Fewest healthy readings from which a feature is learned. [readings; judgement: two or three of each fold]"""
+_LEAST_READINGS = 10
+"""Fewest healthy readings from which a feature is learned. [readings; judgement: one or two of each fold]"""
 _BEND_STEPS = 8
 """Steps between bends over the learned range of a covariate, and as many beyond it. [1; judgement: finer steps of as much prior
 variance give the same law]"""
@@ -47,7 +47,7 @@ _PASSES = 4
 """Passes of law, scatter, tails and correlation, each by the others. [1; simulation: the fifth changes nothing]"""
 _LOG_SQUARE = (-(np.euler_gamma + np.log(2.0)), 0.5 * np.pi**2)
 """Mean and variance of the logarithm of the square of a normal number. [1; definition]"""
-_TAILS = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0)
+TAILS = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0)
 """Degrees of freedom that are tried for the tails. [1; convention: from the least with a variance to nearly normal]"""
 _PRIORS = (1e-12, 1e4)
 """Range of a prior variance over the variance of the readings. [ratio; rounding]"""
@@ -380,6 +380,11 @@ def _left_out(
 
 def tails(u: Annotated[Array, "w"]) -> tuple[float, Annotated[Array, "w"]]:
     """Choose the degrees of freedom of numbers of normal quartiles by likelihood; return them, and the weight of each."""
-    scaled = [(nu, u * float(stdtrit(nu, 0.75) / ndtri(0.75))) for nu in _TAILS]
+    scaled = [(nu, u * quartiles_over_normal(nu)) for nu in TAILS]
     nu, best = max(scaled, key=lambda one: float((student.logpdf(one[1], one[0]) + np.log(one[1] / u)).sum()))
     return nu, (nu + 1.0) / (nu + best**2)
+
+
+def quartiles_over_normal(nu: float) -> float:
+    """Compute the quartiles of Student's t distribution over those of the normal one."""
+    return float(stdtrit(nu, 0.75) / ndtri(0.75))

@@ -61,8 +61,8 @@ def test_seeds_of_a_row_are_summed() -> None:
 def test_a_refused_series_and_records_without_a_baseline_are_not_judged() -> None:
     t_ns = 3_600_000_000_000 * np.arange(20)
     table = FeatureTable(t_ns, {"f1": np.linspace(1.0, 2.0, 20)}, {})
-    refused = Features(table, int(t_ns[9]), np.arange(10) >= 5)
-    assert told(refused) == Told(0, 5, 0, 5, 10, NEVER)
+    refused = Features(table, int(t_ns[4]), np.arange(15) >= 5)
+    assert told(refused) == Told(0, 5, 0, 10, 15, NEVER)
     noise = np.random.default_rng(1).standard_normal((3, 1000, 1))
     short = Modes(Record(100.0, 4.0, noise[:1], noise[1:2], noise[2:]))
     assert told(short) == Told(0, 13, 0, 13, 26, NEVER)
