@@ -13,6 +13,7 @@ from monitor.api.structures import Structure
 from monitor.core import Array, ComplexArray, ModalEstimate, Skipped, import_extra, single_blas_thread
 from monitor.identification import (
     LEAST_PERIODS,
+    LEAST_RECORD_S,
     RefinementSettings,
     SelectionSettings,
     SsiSettings,
@@ -99,7 +100,8 @@ def identify(
     With a structure the modes are those that ``replay`` finds in a window of the same samples, bit for bit, where it leaves no
     channel out: the structure file's settings hold, but for the length of the window.
 
-    Where no mode can be told there is none; `Modes.missing` says why.
+    Where no mode can be told there is none; `Modes.missing` says why.  A mode is stated of ten of its periods and more; with a
+    structure, whose intervals are by the scatter of the record's own blocks, of 20 s and more.
 
     Parameters
     ----------
@@ -137,7 +139,9 @@ def identify(
     ssi, refinement, select = SsiSettings(), RefinementSettings(), SelectionSettings()
     if max_modes is not None:
         select = select.model_copy(update={"max_modes": max_modes})
-    hop_s = max(ProcessingSettings().hop_s, np.ceil(2 * ssi.block_rows / rate_out))
+    length_s = len(values) / rate_hz + 1e-9  # of short ones nothing is left over
+    parts = max(1.0, length_s // ProcessingSettings().hop_s)
+    hop_s = max(length_s / parts // 1.0, np.ceil(2 * ssi.block_rows / rate_out))
     window_s = longest_window_s(values, rate_hz, hop_s)
     processing = ProcessingSettings(rate_hz=rate_out, cutoff_hz=cutoff, window_s=window_s, hop_s=hop_s)
     front_end = FrontEnd(names, processing, refinement.segment_s, n_lags=2 * ssi.block_rows)
@@ -178,7 +182,7 @@ def _narrowed(structure: Structure, cutoff_hz: float | None, max_modes: int | No
 def _by_model(samples: Array, rate_hz: float, structure: Structure) -> Modes:
     """Identify the counterparts of a structure's modes, as `monitor.pipeline.Pipeline` does."""
     config, baseline = structure.config, structure.baseline
-    window_s = longest_window_s(samples, rate_hz, config.processing.hop_s)
+    window_s = longest_window_s(samples, rate_hz, config.processing.hop_s, LEAST_RECORD_S)
     config = config.model_copy(update={"processing": config.processing.model_copy(update={"window_s": window_s})})
     window, conditioner = whole_window(config.front_end(), samples, rate_hz, with_segments=config.refinement.enabled)
     array, reference = sub_array(structure), structure.instrumented.model.modes()

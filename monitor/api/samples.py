@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from monitor.core import Array, BadInputError, Window
-from monitor.identification import LEAST_RECORD_S
 from monitor.signals import Conditioner, FrontEnd, windows
 
 
@@ -49,9 +48,9 @@ def whole_window(
     return found[0], conditioner
 
 
-def longest_window_s(samples: Array, rate_hz: float, hop_s: float) -> float:
-    """Return the longest window that samples fill: a whole number of hops, s."""
-    length_s, least_s = len(samples) / rate_hz, max(LEAST_RECORD_S, hop_s)
+def longest_window_s(samples: Array, rate_hz: float, hop_s: float, least_s: float = 0.0) -> float:
+    """Return the longest window that samples fill: a whole number of hops, s, no shorter than `least_s`."""
+    length_s, least_s = len(samples) / rate_hz, max(least_s, hop_s)
     if length_s < least_s * (1.0 - 1e-9):
         raise BadInputError(f"samples: {length_s:g} s are too short to state modes; {least_s:g} s are the least")
     hops = int(length_s / hop_s + 1e-9)

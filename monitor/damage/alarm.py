@@ -374,7 +374,7 @@ def summarize(stories: tuple[StoryState, ...], says: dict[int, str], alike: str,
 def _words(level: Level, highest: list[int], says: dict[int, str], alike: str, parts: Parts) -> list[str]:
     """Say what changed at the announced level, and what is to be known beside it."""
     words = [says[j] for j in highest if j in says] or [alike or parts.unchanged]
-    if highest and WHOLE not in highest and alike and says:
+    if highest and WHOLE not in highest and alike and says and alike not in words:
         words.append(alike)
     if level is Level.ADVISORY and highest != [WHOLE]:
         words.append("not confirmed yet")

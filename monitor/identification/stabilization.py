@@ -27,7 +27,8 @@ BAND = 0.45
 """Share of the sampling rate up to which modes are looked for. [ratio; the lowpass: 0.4 of the rate, and a little
 more]"""
 LEAST_RECORD_S = 20.0
-"""Shortest stretch of data from which modes are stated. [s; convention: fewer blocks tell no interval]"""
+"""Shortest stretch of data from which modes are stated whose interval is the scatter of its blocks. [s; convention: fewer blocks
+tell none]"""
 LEAST_PERIODS = 10.0
 """Fewest periods of a mode in the data with which it is stated. [count; convention]"""
 WITHOUT_INTERVAL = "the scatter of a mode cannot be told from so few blocks of data, and so no interval: record longer"

@@ -21,6 +21,8 @@ from monitor.signals.welch import SegmentDesign, transform
 
 _CORRELATION_BLOCK_S = 10.0
 """Length of the blocks from which the scatter of the correlations is estimated. [s; judgement]"""
+_LEAST_BLOCKS = 2
+"""Blocks of a window, at least. [count; definition: one has no scatter]"""
 
 
 def common_step_s(window_s: float, hop_s: float) -> float:
@@ -88,7 +90,7 @@ class WindowGrid:
 def _block_n(window_n: int, hop_n: int, n_lags: int, rate_hz: float) -> int:
     """Return the samples in a block (`WindowGrid.block_n`); a block has at least `n_lags`, if any division allows it."""
     step = gcd(window_n, hop_n)
-    least = max(1, ceil(step / (_CORRELATION_BLOCK_S * rate_hz)))
+    least = max(ceil(step / (_CORRELATION_BLOCK_S * rate_hz)), ceil(_LEAST_BLOCKS * step / window_n))
     parts = (q for q in range(least, step // n_lags + 1) if step % q == 0)
     return step // next(parts, 1)
 

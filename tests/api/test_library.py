@@ -95,16 +95,28 @@ def test_noise_has_no_modes_and_says_so(frame: shm.Structure) -> None:
         shm.update(none, frame)
 
 
-def test_no_mode_is_stated_of_less_than_20_s_or_ten_periods_and_none_without_an_interval() -> None:
+def test_no_mode_is_stated_of_less_than_ten_periods_or_with_a_structure_20_s_and_none_without_an_interval() -> None:
     slow = shm.structure(masses_kg=[1000.0, 1000.0], stiffness_n_per_m=[9e3, 9e3])  # 0.295 and 0.773 Hz
     samples = shm.simulate(slow, duration_s=60.0, rate_hz=20.0, noise=0.01, seed=0).samples
     found = shm.identify(samples[:400], 20.0, slow)
     assert found.model_mode == (2,)
     assert any("6.4 periods in 20 s, 10 are the least" in why for why in found.missing)
     for n in (200, 300, 399):
-        for structure in (None, slow):
-            with pytest.raises(shm.UserError, match="too short to state modes; 20 s are the least"):
-                shm.identify(samples[:n], 20.0, structure)
+        with pytest.raises(shm.UserError, match="too short to state modes; 20 s are the least"):
+            shm.identify(samples[:n], 20.0, slow)
+        assert (shm.identify(samples[:n], 20.0).frequencies_hz > 10.0 * 20.0 / n).all()
+    with pytest.raises(shm.UserError, match="too short to state modes; 3 s are the least"):
+        shm.identify(samples[:59], 20.0)
+
+
+@pytest.mark.parametrize("seconds", [5.0, 10.0, 15.0])
+def test_modes_of_ten_periods_and_more_are_stated_of_seconds_with_intervals_that_hold_them(seconds: float) -> None:
+    fast = shm.structure(masses_kg=[1000.0, 1000.0], stiffness_n_per_m=[4e6, 4e6])  # 6.2 and 16.3 Hz
+    samples = shm.simulate(fast, duration_s=seconds, rate_hz=100.0, noise=0.01, seed=3).samples
+    found = shm.identify(samples, 100.0)
+    assert found.window_s == seconds
+    assert len(found) == 2
+    assert (np.abs(found.frequencies_hz - fast.frequencies_hz) < 2.5 * found.frequencies_std_hz).all()
 
 
 @pytest.mark.parametrize(

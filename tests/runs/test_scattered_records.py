@@ -75,6 +75,16 @@ def test_healthy_records_are_not_announced_and_changed_ones_are_confirmed_and_to
     assert "%" not in state.headline, "what cannot be matched has no size"
 
 
+def test_records_as_long_as_a_window_and_its_hop_are_judged_and_nothing_is_said_twice(train: ModalBaseline) -> None:
+    config = site(1, 8.0, 8.0, TRAIN.rate_hz)
+    pipeline = Pipeline(config, calibrated(TRAIN.records(15, 8.0, 1), config, TRAIN.rate_hz))
+    windows = [w for record in watched(pipeline, TRAIN.records(6, 8.0, 3, FALLEN), TRAIN.rate_hz) for w in record]
+    assert [w.skipped for w in windows] == [None] * 6
+    assert windows[-1].alarm.level is Level.WARNING
+    said = [part for w in windows for part in w.alarm.reason.replace("; ", ", ").split(", ")]
+    assert all(w.alarm.reason.count(part) == 1 for w in windows for part in said if part in w.alarm.reason)
+
+
 def test_the_baselines_file_holds_scatter_rates_and_spectrum(train: ModalBaseline, tmp_path: Path) -> None:
     save_baseline(train, tmp_path / "b.json")
     read = load_modal_baseline(tmp_path / "b.json", train.channels, modal_origin(TRAIN_SITE))

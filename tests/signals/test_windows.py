@@ -182,7 +182,8 @@ def test_a_clock_that_jumps_costs_no_work_for_every_window_that_is_not_there() -
 
 
 @pytest.mark.parametrize(
-    ("window_s", "hop_s", "block"), [(400, 10, 1000), (400, 400, 1000), (60, 5, 500), (300, 30, 1000), (70, 7, 700)]
+    ("window_s", "hop_s", "block"),
+    [(400, 10, 1000), (400, 400, 1000), (60, 5, 500), (300, 30, 1000), (70, 7, 700), (8, 8, 400)],
 )
 def test_blocks_last_at_most_ten_seconds_and_tile_windows_and_hops(window_s: float, hop_s: float, block: int) -> None:
     """Windows that do not overlap have blocks too, or their uncertainty would be lost."""
