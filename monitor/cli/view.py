@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -52,7 +52,7 @@ def view(
     bind, port = _LOOPBACK if bind is None else bind, _PORT if port is None else port
     if bind != _LOOPBACK:
         warn(f"whoever reaches {bind} can see this; prefer an SSH tunnel to {_LOOPBACK}")
-    page, data = _free_port(bind, port), _free_port(bind, 0)
+    page, data = _free_ports(bind, port, 0)
     data_url = source if "://" in source else f"rerun+http://{_reachable(bind)}:{data}/proxy"
     command = [program, "--serve-web", "--bind", bind, "--web-viewer-port", str(page), "--port", str(data)]
     if data_url != source:
@@ -93,14 +93,18 @@ def _viewer_program() -> str:
     return str(Path(spec.origin).parent / "rerun")
 
 
-def _free_port(address: str, port: int) -> int:
-    """Return `port` if it is free, or for 0 any free port."""
-    try:
-        with socket.create_server((address, port)) as probe:
-            return int(probe.getsockname()[1])
-    except OSError as error:
-        problem = f"{address}:{port}: {error.strerror or error}"
-        raise MissingInputError(f"{problem}; give another --bind or --port") from error
+def _free_ports(address: str, *ports: int) -> list[int]:
+    """Return the ports if they are free, or for each 0 any free port that is none of the others."""
+    with ExitStack() as probes:  # all at once: a port that was let go may be found again
+        found = []
+        for port in ports:
+            try:
+                probe = probes.enter_context(socket.create_server((address, port)))
+            except OSError as error:
+                problem = f"{address}:{port}: {error.strerror or error}"
+                raise MissingInputError(f"{problem}; give another --bind or --port") from error
+            found.append(int(probe.getsockname()[1]))
+        return found
 
 
 def _reachable(bind: str) -> str:

@@ -54,6 +54,8 @@ from monitor.damage.parts import Features
 _LENGTHS = (1, 8, 16, 32, 64, 128, 256)
 """Readings over which what is left is averaged. [readings; judgement: one, and powers of two whose middle half is not moved by
 two outliers]"""
+_TOLD = 2
+"""Readings in a row of which a change is told. [readings; definition: two share no data; one may be of another mode]"""
 _IN_A_ROW = 4
 """Readings in a row that confirm a change. [readings; convention: control charts; outliers of 1 % are so once in 100 million]"""
 FALSE_ANNOUNCEMENTS_PER_YEAR = 0.1
@@ -167,8 +169,8 @@ class Look:
 
     @property
     def confirms(self) -> bool:
-        """Whether readings in a row say so."""
-        return self.in_a_row > 1
+        """Whether as many readings in a row say so as confirm a change."""
+        return self.in_a_row >= _IN_A_ROW
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -300,7 +302,7 @@ def _update(
     least = float(np.log(judge.least_years))
     for j, alarm in enumerate(alarms[:-1]):
         shown = Shown(0.0, 0.0, *((score, lasting) if j in of else (-np.inf, -np.inf)), 1)
-        # One reading is announced as long as it says so.
+        # An advisory stands as long as the latest readings say so.
         n, sure = (_IN_A_ROW, -float(np.log(_OVER))) if alarm.level is Level.WARNING else (1, 0.0)
         new[j] = update_alarm(alarm, shown, t_ns, _ALARM, least, np.inf, t_ns - judged_ns[-n], sure)
         begins[j] = t_ns if alarm.level is Level.NORMAL else begins[j]
@@ -377,7 +379,7 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
         means = _means(left, m)
         if (m > 1 and 2 * FOLDS * m > len(t_ns)) or (scatter := _scatter(means, everything)) is None:
             continue
-        for in_a_row in (1, _IN_A_ROW) if m == 1 else (_IN_A_ROW,):
+        for in_a_row in (_TOLD, _IN_A_ROW) if m == 1 else (_IN_A_ROW,):
             evidence = np.zeros(len(t_ns))
             for part in np.array_split(np.arange(len(t_ns)), FOLDS):
                 rest = everything.copy()

@@ -32,6 +32,8 @@ _LEAST_FORCE = 1e-3
 """Least eigenvalue of the forces' covariance over the largest. [ratio; as in `whittle`]"""
 _LEAD = 10.0
 """Decay times of the slowest mode before the first record. [count; what is left of the start is 5e-5]"""
+_LEAST_DEGREES = 1.0
+"""Degrees of freedom of an interval, at least. [1; definition: one number about zero; below, Student's t has no scale]"""
 _CONFIDENCE = 0.95
 """Confidence of the intervals and of the test for more scatter. [1; convention]"""
 
@@ -112,7 +114,7 @@ def stated(
     # The records follow each other: the blocks of each are summed up, and each record is an estimate of its own.
     rows = simulated.reshape(RECORDS, -1, *simulated.shape[1:]).sum(axis=1) / np.sqrt(RECORDS)
     of_model, of_blocks = (rows**2).sum(axis=0), (own**2).sum(axis=0)
-    degrees = 1.0 / (0.5 * of_model[:, 1] / found.damping_ratio**2 + 1.0 / (RECORDS - 1.0))
+    degrees = np.maximum(1.0 / (0.5 * of_model[:, 1] / found.damping_ratio**2 + 1.0 / (RECORDS - 1.0)), _LEAST_DEGREES)
     more = of_blocks[:, :2] > of_model[:, :2] * fdtri(n_own, degrees, _CONFIDENCE)[:, None]
     more = more[:, [0, 1, *[0] * (own.shape[2] - 2)]]  # the shape's follow the frequency's
     rows = rows * _students(degrees)[:, None]
@@ -141,4 +143,4 @@ def _students(degrees: Array | float) -> Array:
     from scipy.special import stdtrit  # takes a while to load
 
     likely = 0.5 + 0.5 * _CONFIDENCE
-    return np.asarray(stdtrit(degrees, likely) / stdtrit(np.inf, likely))
+    return np.asarray(stdtrit(np.maximum(degrees, _LEAST_DEGREES), likely) / stdtrit(np.inf, likely))

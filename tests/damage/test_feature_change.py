@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -182,6 +183,17 @@ def test_a_feature_has_the_alarm_that_its_own_test_raises_and_all_together_what_
     _, together = judge_features(unlike(61, 0.03), 80 * 24 * HOUR_NS)
     assert together[-1].alarm.active == {5: Level.WARNING}
     assert "the features together (f1 " in together[-1].alarm.reason
+
+
+def test_one_reading_that_lies_far_off_is_announced_by_nothing() -> None:
+    """It may be of another mode; two in a row share no data."""
+    table = bridge(54, 0.0)
+    far = int(np.searchsorted(table.t_ns, 100 * 24 * HOUR_NS))
+    for readings, levels in ((1, {Level.NORMAL}), (2, {Level.NORMAL, Level.ADVISORY})):
+        features = {name: values.copy() for name, values in table.features.items()}
+        features["f1"][far : far + readings] *= 0.8
+        _, verdicts = judge_features(replace(table, features=features), 80 * 24 * HOUR_NS)
+        assert {v.alarm.level for v in verdicts} == levels
 
 
 def test_one_reading_of_a_feature_ends_no_alarm_of_all_together() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from monitor.core import Skipped, Window
+from monitor.core import ModalEstimate, Skipped, Window
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, identify, identify_modes
+from monitor.identification.short_records import stated_refined
 from monitor.model import simulate
 from monitor.signals import WindowGrid, windows
 from tests.support.turning_frame import TRUTH
@@ -14,9 +17,9 @@ RATE_HZ, SAMPLES = 100.0, 1000
 
 
 def window(blocks: int) -> Window:
-    """A window of 10 s, cut into blocks, too short to be refined."""
+    """A window of 10 s, cut into blocks, too short to be refined; only lags longer than half of it leave one block."""
     x = simulate(TRUTH, duration_s=SAMPLES / RATE_HZ, rate_hz=RATE_HZ, noise=0.03, seed=1).floors
-    grid = WindowGrid(RATE_HZ, SAMPLES, SAMPLES // blocks, 50, 10.0, 40.0)
+    grid = WindowGrid(RATE_HZ, SAMPLES, SAMPLES // blocks, 50 if blocks > 1 else 501, 10.0, 40.0)
     _, made = windows.step(grid, windows.start(grid, 3, index=0), x, 0)
     return next(one for one in made if isinstance(one, Window))
 
@@ -32,3 +35,12 @@ def test_a_single_block_shows_no_scatter_so_that_no_mode_is_stated() -> None:
                 assert "no interval" in found.reason
             else:
                 assert (found.frequencies_std_hz > 0.0).all()
+
+
+def test_a_scatter_that_is_hardly_known_widens_an_interval_no_more_than_one_degree_of_freedom() -> None:
+    """Of a twentieth of one Student's 95 % interval is beyond all numbers."""
+    modes = identify_modes(window(10), SsiSettings(), SelectionSettings(), RefinementSettings())
+    assert isinstance(modes, ModalEstimate)
+    unknown = replace(modes, deviations=modes.deviations * (10.0 * modes.damping_ratio / modes.damping_std).max())
+    stds = stated_refined(unknown).frequencies_std_hz / unknown.frequencies_std_hz
+    assert (stds < 12.71 / 1.96 * 1.5).all()
