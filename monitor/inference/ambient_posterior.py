@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.arrays import PackedSlopes, Spectrum
+from monitor.inference.arrays import PackedSlopes, Spectra, Spectrum
 from monitor.inference.cross_spectra import (
     Excitation,
     extended,
@@ -146,9 +147,10 @@ class AmbientPosterior(Posterior):
                 everything = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
                 out[j] = packed((self.linear_spectra(moved, everything, [middle])[0] - linear[0]) / h)
         if self.error is not None or self.offset is not None:
-            complete = self.complete(linear, x, effects, [middle])[0]
+            complete = partial(self.complete, x=x, effects=effects, classes=[middle])
+            here = complete(linear)
             for d, h in zip(out, steps, strict=True):
-                d[:] = packed((self.complete(linear + h * unpacked(d), x, effects, [middle])[0] - complete) / h)
+                d[:] = packed(_slope(complete, here, linear, unpacked(d), h)[0])
         return out if self.smoothing is None else out @ self.smoothing.T
 
     def slopes_by_mode(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> dict[int, Spectrum]:
@@ -212,3 +214,16 @@ class AmbientPosterior(Posterior):
         of_system = [SystemChange(*change[:-1]) for change in changes]
         slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition)
         return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
+
+
+def _slope(of: Callable[[Spectra], Spectra], here: Spectra, at: Spectra, along: ComplexArray, step: float) -> Spectra:
+    """Differentiate a function of spectra, `here` at them, along a change of them.
+
+    It is NaN where spectra are not positive definite, as a peak of light damping may be after a step that suits the other bins;
+    a shorter step leaves them so.
+    """
+    slope = (of(at + step * along) - here) / step
+    while not np.isfinite(slope).all() and np.isfinite(here).all() and np.isfinite(along).all():
+        step *= 0.1
+        slope = (of(at + step * along) - here) / step
+    return slope

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from monitor.inference import Posterior, with_coordinates
+from monitor.inference.ambient_posterior import _slope
 from monitor.inference.spectral_slopes import joint_directions, whitening_roots
+from monitor.inference.wishart import grown_by
 from monitor.model import Effect, parse_effect
 from tests.support.turning_frame import TORSION, posterior
 
@@ -80,3 +84,13 @@ def test_classes_of_one_model_share_directions_and_others_do_not(at: Posterior) 
     assert joint_directions(whitening_roots(spectra, root)) is not None
     spectra[1] = at.scatter(point(at, (COUPLED,)), (COUPLED,))[1]
     assert joint_directions(whitening_roots(spectra, root)) is None
+
+
+def test_a_step_that_leaves_a_peak_of_no_power_is_shortened() -> None:
+    """The slope of a peak of a mode of light damping, by a step that suits the other bins; else the baseline holds no numbers."""
+    spectra = np.zeros((1, 2, 2, 2), dtype=complex)
+    spectra[0] = np.eye(2) * np.array([1.0, 1e-7])[:, None, None]
+    along = -np.broadcast_to(np.eye(2), spectra.shape).astype(complex)
+    less = partial(grown_by, relative=np.broadcast_to(-0.6 * np.eye(2), spectra.shape).astype(complex))
+    assert np.isnan(less(spectra + 1e-5 * along)[0, 1]).all()
+    np.testing.assert_allclose(_slope(less, less(spectra), spectra, along, 1e-5), 0.4 * along, rtol=1e-6, atol=1e-12)
