@@ -294,7 +294,7 @@ def _of_the_whole(settings: AlarmSettings) -> AlarmSettings:
 
 @lru_cache(maxsize=8)
 def warning_only(settings: AlarmSettings) -> AlarmSettings:
-    """Return the settings for shapes and features, whose change is no loss that has a size: never above warning."""
+    """Return the settings for shapes, the spectrum and features, whose change is no loss that has a size: never above warning."""
     return settings.model_copy(update={"alarm_loss": np.inf})
 
 

@@ -27,17 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher, multivariate_t, rankdata, t as student
 
-from monitor.core import (
-    Array,
-    BadInputError,
-    FeatureReading,
-    Level,
-    OnProgress,
-    Skipped,
-    Step,
-    WindowResult,
-    utc,
-)
+from monitor.core import Array, BadInputError, FeatureReading, Level, OnProgress, Skipped, Step, WindowResult, utc
 from monitor.damage.alarm import AlarmSettings, Shown, StoryState, summarize, update_alarm, warning_only
 from monitor.damage.healthy_series import (
     FOLDS,
@@ -232,9 +222,9 @@ class _Seen:
     def of(cls, look: Look, means: Means) -> _Seen:
         """Take a look."""
         evidence, scores = _evidence(look.scatter, means, look.in_a_row)
-        tests = 6.0 * (np.isfinite(scores).sum(axis=1, keepdims=True) + 1.0)
-        chance = np.maximum(tests * student.sf(np.abs(scores), look.scatter.freedom[0]), _LEAST_CHANCE)
-        own = _in_a_row(np.nan_to_num(-np.log(chance), nan=-np.inf), means, look.in_a_row)
+        k = np.isfinite(scores).sum(axis=1, keepdims=True)
+        ln = _ln_of_tests(_by_itself(np.abs(scores), k, look.scatter.freedom[0]))
+        own = _in_a_row(np.nan_to_num(-ln, nan=-np.inf), means, look.in_a_row)
         years = look.rate.years
         return cls(means, scores, years(evidence), years(np.minimum(own, evidence[:, None])))
 
@@ -251,9 +241,8 @@ def _judge(
     means = {m: _means(left, m) for m in {look.scatter.m for look in judge.looks}}
     seen = [_Seen.of(look, means[look.scatter.m]) for look in judge.looks]
     confirms = np.array([look.confirms for look in judge.looks])
-    standing = next(
-        (i for i, look in enumerate(judge.looks) if look.scatter.m > 1), 0
-    )  # tells the size where none says much
+    # The shortest mean over several readings tells the size where no look says much.
+    standing = next((i for i, look in enumerate(judge.looks) if look.scatter.m > 1), 0)
     sigma, k = left.residual / np.sqrt(left.variance + left.law), len(judge.models)
     alarms, began_ns, judged_ns = (StoryState(),) * (k + 2), (0,) * (k + 1), [0] * _IN_A_ROW
     for row in range(first, table.t_ns.size):
@@ -472,11 +461,21 @@ def _chance(
     whole = alone.sum(axis=1) / np.sqrt((each / std[:, :, None] / std[:, None, :]).sum(axis=(1, 2)))
     left = max(freedom[2] - taken, 1.0)
     chances = (
-        (k + 1.0) * student.sf(np.abs(np.column_stack([alone, whole])).max(axis=1), freedom[0]),
+        _by_itself(np.abs(np.column_stack([alone, whole])).max(axis=1), k, freedom[0]),
         float(k) * student.sf(np.abs(beside).max(axis=1), max(freedom[1] - taken, 1.0)),
         0.5 * fisher.sf((turned * x).sum(axis=1) * left / (freedom[2] * k), k, left),
     )
-    return np.log(np.maximum(6.0 * np.minimum.reduce(chances), _LEAST_CHANCE)), alone
+    return _ln_of_tests(np.minimum.reduce(chances)), alone
+
+
+def _by_itself(score: Array, k: int | NDArray[np.intp], freedom: float) -> Array:
+    """Compute the probability, to one side, that one of k features or their sum has as high a score."""
+    return np.asarray((k + 1.0) * student.sf(score, freedom))
+
+
+def _ln_of_tests(chance: Array) -> Array:
+    """Compute ln of the probability that the least likely of three tests, to two sides, is as unlikely."""
+    return np.asarray(np.log(np.maximum(6.0 * chance, _LEAST_CHANCE)))
 
 
 def _rate(evidence: Annotated[Array, "w"], length: int, years: float) -> Rate:

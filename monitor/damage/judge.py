@@ -140,7 +140,7 @@ def hold(quantities: Quantities, state: AlarmState, t_ns: int) -> tuple[AlarmSta
 
 def _with_spectrum(state: AlarmState, more: Beside, t_ns: int, settings: JudgeSettings, limit: float) -> AlarmState:
     """Update the alarm of the spectrum, the last before that of the whole; what it tells has no size, and is never an `alarm`."""
-    (*parts, spectrum, whole), by = state.stories, settings.alarm.model_copy(update={"alarm_loss": np.inf})
+    (*parts, spectrum, whole), by = state.stories, alarm.warning_only(settings.alarm)
     window_ns = settings.processing.window_s * 1e9
     shown = Shown(1.0, 0.0, more.z, more.z if more.windows > 1 else -np.inf, more.windows)
     spectrum = alarm.update_alarm(spectrum, shown, t_ns, by, limit, window_ns, more.windows * window_ns)
