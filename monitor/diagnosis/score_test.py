@@ -20,6 +20,7 @@ from monitor.inference import (
     join_coordinates,
     maximize_posterior,
     tone_log_odds,
+    tried,
     unfitted,
 )
 from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
@@ -60,8 +61,16 @@ def key_of(effect: Effect) -> Key:
 
 
 def fit_with(posterior: Posterior, fit: MapEstimate, effects: tuple[Effect, ...]) -> MapEstimate:
-    """Fit with other effects, beginning at the nuisances of a fit and at the effects' own sizes."""
-    return maximize_posterior(posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects)
+    """Fit with other effects, beginning at the nuisances of a fit and at the effects' own sizes.
+
+    Where no structure is there without the others, the fit begins at the prior's.
+    """
+    x = fit.x[posterior.layout.nuisances]
+    found = maximize_posterior(posterior, join_coordinates(x, effects), effects)
+    if found.is_possible:
+        return found
+    x = posterior.layout.with_structure(x, posterior.prior.mean)
+    return maximize_posterior(posterior, join_coordinates(x, effects), effects)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,8 +123,14 @@ def candidate_starts(posterior: Posterior, null_fit: MapEstimate, excluded: Iter
         for place in (p for k in kind.places for p in locations(k, context)):
             if kind.repeatable or ((kind.name, place) not in skip and not (kind.nonlinear and place in occupied)):
                 out += kind.starts(place, context, typical)
-                out += filter(None, (kind.at_peak(place, peak, context, typical) for peak in peaks))
+                out += filter(None, (at_peak(kind, place, peak, posterior) for peak in peaks))
     return [e for e in out if _is_applicable(e, context) and e.is_plausible(posterior.observed.band.hz)]
+
+
+def at_peak(kind: type[Effect], place: str, peak: Peak, posterior: Posterior) -> Effect | None:
+    """Make the first size of an effect at a peak; None where it has no frequency, or the peak has no power."""
+    typical = posterior.conditions[posterior.n_classes // 2]
+    return tried(lambda: kind.at_peak(place, peak, posterior.context, typical), None)
 
 
 def _tried_kinds(*, driven: bool) -> list[type[Effect]]:
@@ -202,6 +217,11 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
 
     The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
     """
+    return tried(lambda: _expected_gains(posterior, null_fit, candidates), []) if null_fit.is_possible else []
+
+
+def _expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> Ranked:
+    """As `expected_gains`; raises where something cannot be computed, see `tried`."""
     prediction = posterior.predict(null_fit.x, null_fit.effects)
     mean, precision = posterior.normal_prior(null_fit.x, null_fit.effects)
     tangent = null_fit.slopes
@@ -237,7 +257,7 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
             gain = min(gain, posterior.log_likelihood(moved.spectra, levelled=True) - null_fit.log_likelihood)
         return [*out, (gain, scaled)]
 
-    gains = chain.from_iterable(parallel_map(predict_gain, candidates))
+    gains = chain.from_iterable(parallel_map(lambda effect: tried(lambda: predict_gain(effect), ()), candidates))
     return [(gain, effect) for gain, effect in gains if np.isfinite(gain)]
 
 
@@ -365,11 +385,11 @@ def fit_candidate(
     ranking; no further search can start from it.  A candidate below `min_log_evidence`, nats, does not matter, and its fit is not
     repeated from the prior.  The evidence is minus infinity where the fit leads to a structure that cannot be computed.
     """
-    try:
-        return _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick)
-    except np.linalg.LinAlgError:
-        fit = unfitted(posterior, null_fit.x, (*null_fit.effects, effect))
-        return Candidate(effect, fit, -np.inf, -np.inf)
+    fit = unfitted(posterior, null_fit.x, (*null_fit.effects, effect))
+    nothing = Candidate(effect, fit, -np.inf, -np.inf)
+    if not null_fit.is_possible:
+        return nothing
+    return tried(lambda: _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick), nothing)
 
 
 def _fit_candidate(
@@ -381,7 +401,7 @@ def _fit_candidate(
     *,
     quick: bool,
 ) -> Candidate:
-    """As `fit_candidate`; raises LinAlgError where something cannot be computed."""
+    """As `fit_candidate`; raises where something cannot be computed, see `tried`."""
     driven = posterior.observed.drive is not None
     # Driven motion is so informative that a cause changes the other slopes at once.
     frozen = null_fit.slopes if quick and not driven else None
@@ -475,10 +495,7 @@ def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
     lines = candidate.effect.lines()
     if not lines or posterior.observed.drive is not None or not np.isfinite(candidate.log_evidence):
         return candidate
-    try:
-        odds = sum(tone_log_odds(posterior, candidate.fit, line) for line in lines)
-    except np.linalg.LinAlgError:  # the fit has led to no structure
-        odds = -np.inf
+    odds = tried(lambda: sum(tone_log_odds(posterior, candidate.fit, line) for line in lines), -np.inf)
     return replace(candidate, log_evidence=candidate.log_evidence + odds)
 
 
@@ -502,7 +519,8 @@ def evidence_cost(posterior: Posterior, fit: MapEstimate, i: int = -1) -> float:
         return cost
     own = fit.coordinates_of(i).start + known
     covariance = fit.covariance[np.ix_(own, own)] / np.outer(std[known], std[known])
-    return cost - 0.5 * float(np.log(np.clip(np.linalg.eigvalsh(covariance), _LEAST_VARIANCE, 1.0)).sum())
+    variances = tried(lambda: np.linalg.eigvalsh(covariance), np.full(known.size, _LEAST_VARIANCE))
+    return cost - 0.5 * float(np.log(np.clip(variances, _LEAST_VARIANCE, 1.0)).sum())
 
 
 def parameter_cost(posterior: Posterior, n_more: int) -> float:

@@ -32,6 +32,7 @@ from monitor.inference import (
     Posterior,
     join_coordinates,
     measure_moments,
+    tried,
 )
 from monitor.model import Effect
 
@@ -79,7 +80,7 @@ def is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     An oscillator must move within the band and must not be damped at once, since a heavy mass that hardly moves acts as a damper.
     """
     effect = candidate.effect
-    if not np.isfinite(candidate.fit.log_posterior):
+    if not candidate.fit.is_possible:
         return False
     if not (effect.is_plausible(posterior.observed.band.hz) and is_credible(posterior, candidate.fit)):
         return False
@@ -211,7 +212,13 @@ def _simulated(
     """Refit some of the contenders with their laws simulated."""
     known = {p.candidate.key: p for p in contenders}
     chosen = [known[key] for key in keys]
-    refitted = parallel_map(lambda p: refit_by_simulation(p.posterior, fit, p.candidate, effort), chosen)
+    refitted = parallel_map(
+        lambda p: tried(
+            lambda: refit_by_simulation(p.posterior, fit, p.candidate, effort),
+            replace(p, candidate=replace(p.candidate, log_evidence=-np.inf)),
+        ),
+        chosen,
+    )
     return list((known | {p.candidate.key: p for p in refitted}).values())
 
 

@@ -32,6 +32,7 @@ from monitor.inference import (
     simulate_exact,
     simulate_moments,
     simulate_spectra,
+    tried,
     with_coordinates,
 )
 from monitor.model import Context, Effect, StructuralPrior, loaded
@@ -139,7 +140,7 @@ def fit_initial_model(
     posterior, null_fit = fit_linearized(observed, prior, context, start)
     simulated = linear = posterior, null_fit, normal_moments(posterior)
     for _ in range(_N_REFITS):
-        simulated = fit_persistent_effects(*simulated[:2])
+        simulated = tried(partial(fit_persistent_effects, *simulated[:2]), linear)
     # Near the strongest motion that a law allows, forces fitted to its linear form make the exact law diverge.  Then the
     # linear form is kept.
     return max(simulated, linear, key=lambda candidate: candidate[1].log_posterior)

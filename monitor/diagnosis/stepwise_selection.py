@@ -35,7 +35,15 @@ from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_by_simulation, fit_initial_model
 from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, is_independent_of_direction, judge, refine
-from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
+from monitor.inference import (
+    CorrectedPosterior,
+    MapEstimate,
+    Moments,
+    ObservedSpectra,
+    Posterior,
+    maximize_posterior,
+    tried,
+)
 from monitor.model import Context, StructuralPrior
 
 _N_GROUND_TESTS = 2
@@ -134,11 +142,18 @@ def _begin(
     cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.  Return what
     `start_from_modes` returns.
     """
-    begun = start_from_modes(_first_stage(observed, prior, context, settings), settings)
+    first = _first_stage(observed, prior, context, settings)
+    if first is None:
+        raise BadInputError(
+            "no structure near the structure file's can be fitted to the spectra: look at units and channels with 'look'"
+        )
+    begun = start_from_modes(first, settings)
     stage = begun[0]
     if wider is None or not find_lack_of_fit(stage.posterior, stage.fit, settings):
         return begun
     shaped = _first_stage(observed, wider, context, settings)
+    if shaped is None:
+        return begun
     cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
     gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit)
     left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
@@ -150,13 +165,12 @@ def _begin(
 
 def _first_stage(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
-) -> SearchState:
-    """Fit the model without causes."""
-    posterior, fit, moments = fit_initial_model(observed, prior, context)
-    if not np.isfinite(fit.log_posterior):
-        raise BadInputError(
-            "no structure near the structure file's can be fitted to the spectra: look at units and channels with 'look'"
-        )
+) -> SearchState | None:
+    """Fit the model without causes; None where no structure near the prior's can be fitted."""
+    begun = tried(lambda: fit_initial_model(observed, prior, context), None)
+    if begun is None or not begun[1].is_possible:
+        return None
+    posterior, fit, moments = begun
     return SearchState(posterior, fit, fit, (), moments, settings.margin)
 
 
@@ -368,12 +382,24 @@ def _refit_ground_interpolation(
     if best.drive.between == drive.between:
         return None
     posterior = replace(stage.posterior, observed=best)
-    return posterior, maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
+    found = maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
+    return (posterior, found) if found.is_possible else None
 
 
 def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSettings) -> SearchState:
     """Accept a cause: refit all parameters beside it, and update the evidence that a further cause needs."""
-    accepted = (*stage.accepted, best.candidate)
+    accepted, margin = (*stage.accepted, best.candidate), stage.margin
+    as_found = best.posterior, best.candidate.fit, best.moments
+    refitted = tried(lambda: _refit_accepted(best, n_accepted=len(accepted)), as_found)
+    posterior, fit, added = refitted if refitted[1].is_possible else as_found
+    if best.candidate.effect.nonlinear:
+        error = settings.aftermath * best.candidate.delta_log_posterior
+        margin = max(margin, error, settings.margin + DIFFERS_STDS * best.log_evidence_std)
+    return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
+
+
+def _refit_accepted(best: RefittedCandidate, n_accepted: int) -> tuple[Posterior, MapEstimate, Moments]:
+    """Refit all parameters beside a cause, the last of `n_accepted`; return the moments that the laws add too."""
     posterior, fit = best.posterior, best.candidate.fit
     driven = posterior.observed.drive is not None
     posterior, fit = fit_ground_interpolation(_extend_posterior(posterior, fit), fit)
@@ -382,14 +408,10 @@ def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSett
     if driven and has_nonlinear(fit):
         posterior, fit = fit_exact_slopes(posterior, fit)
     posterior, fit = fit_ambient_forces(posterior, fit)
-    added, margin = best.moments, stage.margin
-    if len(accepted) > 1 and has_nonlinear(fit) and not driven:  # the present correction lacks the newest cause
+    if n_accepted > 1 and has_nonlinear(fit) and not driven:  # the present correction lacks the newest cause
         simulated_fit = fit_by_simulation(posterior, fit)
-        posterior, fit, added = simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
-    if best.candidate.effect.nonlinear:
-        error = settings.aftermath * best.candidate.delta_log_posterior
-        margin = max(margin, error, settings.margin + DIFFERS_STDS * best.log_evidence_std)
-    return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
+        return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
+    return posterior, fit, best.moments
 
 
 def _accept_beside_tie(

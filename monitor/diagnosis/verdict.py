@@ -26,7 +26,7 @@ from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significa
 from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_with
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_persistent_effects, refine_fit
-from monitor.inference import MapEstimate, Posterior, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, maximize_posterior, tried
 from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -185,7 +185,10 @@ def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCau
     """
     if not has_nonlinear(fit) or posterior.observed.drive is not None:
         return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
-    near, fit = refine_fit(posterior, fit)
+    refined = tried(lambda: refine_fit(posterior, fit), None)
+    if refined is None or not refined[1].is_possible:
+        return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
+    near, fit = refined
     # With a better size of the law another cause may be no longer significant.
     kept = [
         is_significant(e, std)

@@ -40,3 +40,4 @@ from .posterior import (
 )
 from .segments import LeftOut as LeftOut, Segments as Segments, gather as gather
 from .starting_point import FORCED as FORCED, guess_levels as guess_levels, make_posterior as make_posterior
+from .trial import require_finite as require_finite, tried as tried

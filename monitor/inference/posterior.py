@@ -25,6 +25,7 @@ from monitor.inference.arrays import Spectra, SpectraSlopes, TransformSlopes
 from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
+from monitor.inference.trial import tried
 from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model import Effect
 
@@ -98,9 +99,13 @@ class Posterior(ForwardModel):
         return float(total) if np.isfinite(total) else -np.inf
 
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
-        """Compute the log likelihood and the log prior at a point, nats."""
-        prediction = self.predict(x, effects)
-        return self.log_likelihood(prediction.spectra, prediction.data), self.log_prior(x, effects)
+        """Compute the log likelihood, -inf where there is no structure, and the log prior at a point, nats."""
+
+        def at_point() -> tuple[float, float]:
+            prediction = self.predict(x, effects)
+            return self.log_likelihood(prediction.spectra, prediction.data), self.log_prior(x, effects)
+
+        return tried(at_point, (-np.inf, 0.0))
 
     def log_prior(self, x: Array, effects: Sequence[Effect]) -> float:
         """Compute the log prior at a point up to a constant, nats."""
