@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import FAR
 from monitor.diagnosis.missing_modes import CERTAIN, effects_at_peak, is_beyond_weak_modes, likely_causes
+from monitor.diagnosis.plan import FAR
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,

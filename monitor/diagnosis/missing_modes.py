@@ -11,8 +11,8 @@ from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, ComplexArray, parallel_map
-from monitor.diagnosis.initial_fit import FAR, LONG
 from monitor.diagnosis.parameter_uncertainty import is_significant
+from monitor.diagnosis.plan import FAR, LONG
 from monitor.diagnosis.score_test import (
     Candidate,
     at_peak,

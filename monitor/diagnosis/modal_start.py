@@ -11,8 +11,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
-from monitor.diagnosis.initial_fit import FAR, first_guess
+from monitor.diagnosis.initial_fit import first_guess
 from monitor.diagnosis.missing_modes import is_distinct, mac
+from monitor.diagnosis.plan import FAR
 from monitor.diagnosis.score_test import log_evidence
 from monitor.identification import SelectionSettings, SsiSettings, identify
 from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior, tried

@@ -20,7 +20,7 @@ from monitor.inference.cross_spectra import (
     random_spectra,
 )
 from monitor.inference.forward_model import Prediction
-from monitor.inference.posterior import Posterior, difference_operator, of_coordinates, with_coordinates
+from monitor.inference.posterior import FORCE_STD, Posterior, difference_operator, of_coordinates, with_coordinates
 from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
 from monitor.inference.system_slopes import SystemChange, force_matrix, packed, system_slopes, unpacked
 from monitor.model import Context, Effect, System
@@ -61,6 +61,18 @@ class AmbientPosterior(Posterior):
     def relative_levels(self, x: Array) -> Array:
         levels = x[self.layout.levels]
         return np.asarray(np.exp(levels - levels[self.n_classes // 2]))
+
+    @override
+    def force_precision(self) -> Array:
+        return np.diag(np.full(self.context.structure.n_dofs, FORCE_STD) ** -2.0)
+
+    @override
+    def first_levels(self, ratio: Array) -> tuple[float, Array]:
+        return float(np.log(ratio.mean())), np.asarray(np.log(ratio / ratio.mean()))
+
+    @override
+    def levels_of_equal_forces(self, ratio: Array) -> tuple[float, float | Array]:
+        return 0.0, np.asarray(np.log(ratio))
 
     def force_prior(self, x: Array) -> tuple[Array, Array]:
         """The prior mean of every floor's force is the mean over floors."""

@@ -63,7 +63,7 @@ def linearize(
     if with_motion:
         rms = _class_motion(posterior, x, effects, e.spectra if spectra is None else spectra)
     beyond, out = _power_above_band(posterior, x, everything), []
-    shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
+    shaken = posterior.unmeasured_share(everything) > 0.0
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
     piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
     for k, row in enumerate(rms):
