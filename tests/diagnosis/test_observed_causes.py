@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from monitor.diagnosis.observed_causes import add_observed_causes
-from monitor.inference import DrivenPosterior
-from monitor.inference.ambient_posterior import AmbientPosterior
+from monitor.inference import CorrectedPosterior, DrivenPosterior
 from monitor.model import Condition
 from tests.support.vibration import CONFIG, RATE_HZ, segments, vibration
 
@@ -29,7 +28,7 @@ class Found:
 
 def found(piled: list[bool], *, ground: bool = True, known: tuple[Any, ...] = ()) -> Any:
     peak, condition = np.array([4.0, 5.0, 6.0]), Condition(ONES, ONES, ONES, ONES)
-    kind: Any = DrivenPosterior if ground else AmbientPosterior
+    kind: Any = DrivenPosterior if ground else CorrectedPosterior
     return Found(
         kind(
             observed=None,
