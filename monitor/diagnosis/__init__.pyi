@@ -22,10 +22,10 @@ from .files import (
     structure_text as structure_text,
 )
 from .fold_refit import fitted_model as fitted_model
-from .initial_fit import FAR as FAR
 from .lack_of_fit import residual_bands as residual_bands
 from .observed_causes import add_observed_causes as add_observed_causes
 from .parameter_uncertainty import is_significant as is_significant
+from .plan import FAR as FAR
 from .predictive_score import Score as Score, score as score
 from .score_test import parameter_cost as parameter_cost
 from .settings import DiagnosisSettings as DiagnosisSettings

@@ -9,7 +9,8 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.inference import MapEstimate, Posterior, with_coordinates
+from monitor.diagnosis.plan import plan_of
+from monitor.inference import DrivenPosterior, MapEstimate, Posterior, with_coordinates
 
 _FIRST_MODE_BAND = 0.6, 1.6
 """Band in which the first mode's equation of motion is fitted, over the first frequency. [ratio; judgement]"""
@@ -46,9 +47,9 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     floors' motion relative to the ground in the first mode, and u is the force of all inputs on that mode.  None where too few
     segments show the mode, or where no input was measured.
     """
-    e, mean = posterior.observed, posterior.mean(fit.x, fit.effects)
-    if e.drive is None or mean is None:
+    if not isinstance(posterior, DrivenPosterior):
         return None
+    e, drive, mean = posterior.observed, posterior.drive, posterior.mean(fit.x, fit.effects)
     effects = posterior.effects(fit.x, fit.effects)
     system, modes = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes()
     first, shape, sensors = float(modes.frequencies_hz[0]), modes.shapes[:, 0].real, posterior.context.sensors
@@ -56,9 +57,9 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     to_mode = np.linalg.pinv(sensors).T @ system.mass @ shape * shape[0]
     in_band = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
     w = 2.0 * np.pi * e.band.hz[in_band]
-    inputs = e.drive.measured(e.band)[:, in_band]
-    rigid = to_mode @ sensors.sum(axis=1) * (inputs @ e.drive.rides)
-    forced = inputs @ (shape @ e.drive.forces(system)[: shape.size])
+    inputs = drive.measured(e.band)[:, in_band]
+    rigid = to_mode @ sensors.sum(axis=1) * (inputs @ drive.rides)
+    forced = inputs @ (shape @ drive.forces(system)[: shape.size])
     rows = []
     for measured, predicted, r, u in zip(e.segments.values[:, in_band], mean[:, in_band], rigid, forced, strict=True):
         hz, amplitude, unexplained = _fit_oscillator(measured @ to_mode - r, u, w)
@@ -122,7 +123,7 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
 
     None where the fitted model keeps the ratios, has one mode or no extra effects, or no input was measured.
     """
-    if posterior.observed.drive is None or not fit.effects or posterior.context.structure.n_dofs < 2:
+    if plan_of(posterior).judges_by_bands or not fit.effects or posterior.context.structure.n_dofs < 2:
         return None
     known = posterior.prior
     at_reference = posterior.layout.with_structure(fit.x, known.mean)

@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import FAR
 from monitor.diagnosis.missing_modes import CERTAIN, effects_at_peak, is_beyond_weak_modes, likely_causes
+from monitor.diagnosis.plan import FAR
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
@@ -32,6 +32,7 @@ from monitor.inference import (
     join_coordinates,
     linearize,
     maximize_posterior,
+    tried,
 )
 from monitor.model import Effect
 
@@ -50,15 +51,21 @@ def find_better_null_fit(
     if not starts or not max(log_posteriors) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
         return None
     found = maximize_posterior(posterior, *starts[int(np.argmax(log_posteriors))])
-    posterior = update_linearization(posterior, found)
-    return posterior, maximize_posterior(posterior, found.x, found.effects)
+    return _followed(posterior, found)
 
 
 def update_linearization(posterior: Posterior, fit: MapEstimate) -> Posterior:
     """Linearize nonlinear laws at the motion of a fit, unless simulation corrected the posterior, at its own motion."""
     if isinstance(posterior, CorrectedPosterior):
         return posterior
-    return replace(posterior, conditions=linearize(posterior, fit.x, fit.effects))
+    return replace(posterior, conditions=tried(lambda: linearize(posterior, fit.x, fit.effects), posterior.conditions))
+
+
+def _followed(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
+    """Linearize nonlinear laws at the motion of a fit and refit, unless that leads to no structure."""
+    moved = update_linearization(posterior, fit)
+    refitted = maximize_posterior(moved, fit.x, fit.effects)
+    return (moved, refitted) if refitted.is_possible else (posterior, fit)
 
 
 def eliminate_backward(
@@ -89,10 +96,9 @@ def eliminate_backward(
         fit, rival = tested
         kept[i : i + 1] = [] if rival is None else [rival]
         replaced |= rival is not None
-        posterior = update_linearization(posterior, fit)
         if isinstance(posterior, CorrectedPosterior):
             posterior = replace(posterior, simulation_std=np.zeros(0))  # it held for the former causes
-        fit = maximize_posterior(posterior, fit.x, fit.effects)
+        posterior, fit = _followed(posterior, fit)
     if not any(e.nonlinear for e in fit.effects) and any(c.effect.nonlinear for c in accepted):
         posterior, fit, _ = fit_persistent_effects(posterior, fit)  # the simulated law was removed
     return posterior, fit, tuple(kept)
@@ -145,7 +151,7 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     # The slopes by all else hardly depend on the mode.  Steps that need no new slopes cost next to nothing.
     others = np.delete(np.arange(fit.x.size), fit.coordinates_of(i))
     without = maximize_posterior(posterior, x, rest, iterations=FAR, frozen=fit.slopes.by(others))
-    if not np.isfinite(without.log_posterior):  # no structure is near without the mode
+    if not without.is_possible:  # no structure is near without the mode
         return True, []
     gain = score_candidate(posterior, without, fit, i).log_evidence
     (peak,) = find_excess_peaks(posterior, without, 1)

@@ -92,7 +92,7 @@ def correct_clock_drifts(segments: Segments, settings: DiagnosisSettings) -> tup
     Speech, and Signal Processing 24 (1976) 320 (the likelihood of a delay from the coherence).
     """
     drifts: list[ClockDrift] = []
-    streams = segments.values.shape[2] + (0 if segments.drive is None else len(segments.drive.inputs))
+    streams = segments.with_inputs().shape[2]
     n, bins = segments.values.shape[:2]
     least = settings.margin + 0.5 * np.log(n * bins * information_weight())
     while n > streams >= _MIN_STREAMS + len(drifts):
@@ -147,9 +147,7 @@ def _named(drift: ClockDrift, channels: Sequence[str], drive: Drive | None) -> s
 
 def _estimate_drifts(segments: Segments) -> list[ClockDrift]:
     """Estimate the rate of each channel's clock as if those of the others were right."""
-    streams = segments.values
-    if segments.drive is not None:
-        streams = np.concatenate([streams, segments.drive.measured(segments.band)], axis=2)
+    streams = segments.with_inputs()
     hz, c = segments.band.hz, streams.shape[2]
     step = 1.0 / (_STEPS_A_CYCLE * hz[-1] * np.ptp(segments.t_s))
     # A faster drift would move half a cycle within one segment, which is then incoherent in itself.

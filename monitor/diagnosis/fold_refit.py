@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.diagnosis.initial_fit import fit_exact_slopes
+from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import (
-    Drive,
     ExcitationStart,
     MapEstimate,
     ObservedSpectra,
@@ -20,11 +20,6 @@ from monitor.inference import (
     maximize_posterior,
 )
 from monitor.model import Model
-
-_MAX_STEPS_AMBIENT = 12
-"""Most iterations of a fit to a part of a recording that begins at the fit to the whole. [iterations; cost]"""
-_MAX_STEPS_DRIVEN = 25
-"""The same where the ground motion is measured. [iterations; cost]"""
 
 _MIN_DAMPING = 1e-9
 """Least damping ratio of a fitted model. [1; rounding]"""
@@ -42,7 +37,6 @@ def refit_form(
     weighted as the whole recording, `form` is the fit of the form to the whole, and `classes` has for each class of the part the
     same class of the whole.  Return the form, fitted to the part, and its excitation in the classes of the whole recording.
     """
-    part = replace(part, drive=_with_ground_interpolation(whole, part.drive))
     own = posterior = whole.posterior.part(part, classes)
     # A class of the whole recording that the part does not have is taken to be as the nearest one.
     nearest = np.abs(classes[:, None] - np.arange(whole.posterior.n_classes)).argmin(axis=0)
@@ -51,20 +45,12 @@ def refit_form(
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
     start = ExcitationStart.at(whole.posterior, form.x).select(classes)
     x = np.concatenate([form.x[layout.structure], start.vector, form.x[layout.effects]])
-    if part.drive is None and any(e.conditional for e in posterior.effects(x, effects)):
+    plan = plan_of(posterior)
+    if not plan.integrates_laws and any(e.conditional for e in posterior.effects(x, effects)):
         own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
-    most = _MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
-    fit = maximize_posterior(own, x, effects, iterations=most)
-    if part.drive is not None and any(e.nonlinear for e in effects):
-        own, fit = fit_exact_slopes(own, fit)
+    own, fit = fit_exact_slopes(own, maximize_posterior(own, x, effects, iterations=plan.part_steps))
     excitation = ExcitationStart.at(own, fit.x, own.beyond(fit.x, fit.effects) if shared else None)
     return fitted_model(own, fit), excitation.select(nearest)
-
-
-def _with_ground_interpolation(whole: Diagnosis, drive: Drive | None) -> Drive | None:
-    """Set the interpolation of the ground motion between its samples to that of the diagnosis of the whole recording."""
-    found = whole.posterior.observed.drive
-    return None if drive is None or found is None else replace(drive, between=found.between)
 
 
 def fitted_model(posterior: Posterior, fit: MapEstimate) -> Model:

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from monitor.core import Array
 from monitor.diagnosis.lack_of_fit import estimate_model_discrepancy
+from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import ObservedSpectra, ParameterLayout, Posterior
@@ -79,7 +80,7 @@ def learn_prior(
         wider,
         mean=fitted.x[structure],
         precision=0.5 * (precision + precision.T),
-        ln_forces=None if observed.drive is not None else forces - forces.mean(),
+        ln_forces=forces - forces.mean() if plan_of(posterior).shows_direction else None,
     )
     # As the baseline's file holds it, so that a diagnosis from the file is the same.
     learnt = replace(learnt, model=replace(learnt.model, effects=learnt.effects(learnt.mean)))

@@ -11,10 +11,11 @@ from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, ComplexArray, parallel_map
-from monitor.diagnosis.initial_fit import FAR, LONG
 from monitor.diagnosis.parameter_uncertainty import is_significant
+from monitor.diagnosis.plan import FAR, LONG
 from monitor.diagnosis.score_test import (
     Candidate,
+    at_peak,
     best_first,
     best_of_each_kind,
     find_excess_peaks,
@@ -28,7 +29,15 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.identification import SelectionSettings
-from monitor.inference import MapEstimate, Posterior, extra_mode_spectra, join_coordinates, maximize_posterior
+from monitor.inference import (
+    MapEstimate,
+    Posterior,
+    extra_mode_spectra,
+    join_coordinates,
+    maximize_posterior,
+    require_finite,
+    tried,
+)
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
 
 _RESOLUTION_BINS = 2.0
@@ -67,6 +76,7 @@ def resonances(posterior: Posterior, x: Annotated[Array, "p"], effects: Sequence
         moved = effect.extend(system, context, condition)
         if len(moved.coupled) > len(system.coupled):
             system, own = moved, [*own, i - n_before if i >= n_before else None]
+    require_finite(system.mass, system.stiffness)
     uncoupled = np.eye(system.mass.shape[0])
     uncoupled[:n, :n] = shapes
     eigenvalues, shapes = eigh(system.stiffness, system.mass)
@@ -113,9 +123,9 @@ def as_seen(
 
 def effects_at_peak(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Effect]:
     """List the effects that a peak which the model lacks may have as its cause, at their first sizes."""
-    typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
+    context = posterior.context
     places = ((kind, place) for kind in EFFECTS.values() for of in kind.places for place in locations(of, context))
-    near = (kind.at_peak(place, peak, context, typical) for kind, place in places)
+    near = (at_peak(kind, place, peak, posterior) for kind, place in places)
     found = [_scaled_to_peak(posterior, fit, effect, peak) for effect in near if effect is not None]
     return found + [c for c in (effect.coupled(context) for effect in found) if c is not None]
 
@@ -225,7 +235,7 @@ def _is_plausible_mode(posterior: Posterior, candidate: Candidate, i: int) -> bo
     fit, effect = candidate.fit, candidate.effect
     std = np.sqrt(fit.covariance.diagonal()[fit.coordinates_of(i)])
     is_sized = effect.is_plausible(posterior.observed.band.hz) and is_significant(effect, std)
-    return is_sized and is_credible(posterior, fit, i)
+    return fit.is_possible and is_sized and is_credible(posterior, fit, i)
 
 
 def find_missing_mode(
@@ -285,8 +295,8 @@ def _least_evidence_beside_a_mode(posterior: Posterior, fit: MapEstimate, effect
     at_peaks = (e for peak in find_excess_peaks(posterior, fit) for e in effects_at_peak(posterior, fit, peak))
 
     def beside(mode: Effect) -> float:
-        with_mode = fit_candidate(posterior, fit, mode)
-        return fit_candidate(posterior, with_mode.fit, effect).log_evidence
+        with_mode = fit_candidate(posterior, fit, mode).fit
+        return fit_candidate(posterior, with_mode, effect).log_evidence if with_mode.is_possible else np.inf
 
     return min(parallel_map(beside, [e for e in at_peaks if e.repeatable]), default=-np.inf)
 
@@ -304,7 +314,9 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
         return True
     if np.exp(fit.x[posterior.layout.damping]).max() > MAX_DAMPING:
         return False
-    found = resonances(posterior, fit.x, fit.effects)
+    found = tried(lambda: resonances(posterior, fit.x, fit.effects), ())
+    if not found:  # there is no structure
+        return False
     own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
     band = posterior.observed.band
     resolution_hz = _RESOLUTION_BINS * band.bin_hz
@@ -384,7 +396,8 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
 
 
 def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Annotated[Array, "nuisances"]) -> MapEstimate | None:
-    """Refit the modes that the model lacks without coupling, as they are seen; return None where none is coupled.
+    """Refit the modes that the model lacks without coupling, as they are seen; return None where none is coupled, or
+    no structure is near without.
 
     The fit starts from `start`, parameters of the model and of the excitation: those of the coupled fit have followed the
     coupling.
@@ -394,7 +407,8 @@ def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Annotated[Arra
         return None
     seen = {r.owner: r.mode for r in resonances(posterior, fit.x, fit.effects)}
     effects = tuple(e.uncoupled(seen[i]) if is_coupled[i] else e for i, e in enumerate(fit.effects))
-    return maximize_posterior(posterior, join_coordinates(start, effects), effects, iterations=FAR)
+    apart = maximize_posterior(posterior, join_coordinates(start, effects), effects, iterations=FAR)
+    return apart if apart.is_possible else None
 
 
 def _better_orientation(posterior: Posterior, found: MapEstimate) -> MapEstimate:

@@ -11,11 +11,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
-from monitor.diagnosis.initial_fit import FAR, first_guess
+from monitor.diagnosis.initial_fit import first_guess
 from monitor.diagnosis.missing_modes import is_distinct, mac
+from monitor.diagnosis.plan import FAR
 from monitor.diagnosis.score_test import log_evidence
 from monitor.identification import SelectionSettings, SsiSettings, identify
-from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior
+from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior, tried
 from monitor.model import EFFECTS, Effect, Modes, Peak
 
 _RATE = 2.2
@@ -133,8 +134,9 @@ def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...
     def fitted(start: ModalStart) -> MapEstimate:
         return maximize_posterior(posterior, *_scaled_to_power(posterior, start), iterations=FAR)
 
-    whole = parallel_map(fitted, find_modal_starts(posterior))
-    found = parallel_map(partial(_with_evidence, posterior), whole)
+    starts = find_modal_starts(posterior)
+    whole = parallel_map(lambda start: tried(lambda: fitted(start), None), starts)
+    found = parallel_map(partial(_with_evidence, posterior), [fit for fit in whole if fit and fit.is_possible])
     return tuple(sorted(found, key=lambda pair: -pair[1]))
 
 
@@ -221,9 +223,9 @@ def _fit_structure(
 
     def residuals(structure: Array) -> Array:
         k = layout.stiffness.stop - layout.stiffness.start
-        try:
-            found = prior.model.with_stiffness(np.exp(structure[:k])).with_masses(np.exp(structure[k:])).modes()
-        except np.linalg.LinAlgError:
+        model = prior.model.with_stiffness(np.exp(structure[:k])).with_masses(np.exp(structure[k:]))
+        found = tried(model.modes, None)
+        if found is None:
             return np.full(structure.size + len(pairs) * (1 + len(context.channels)), 1e6)
         rows = [root @ (structure - mean)]
         for j, mode in pairs:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.model import EFFECTS, locations
 
@@ -14,13 +15,11 @@ def add_observed_causes(diagnosis: Diagnosis) -> Diagnosis:
     Such a motion is not stationary, so the search leaves out effects whose linearization needs that.  The segments in which a
     clipped channel reaches its limit are left out of the search too (`Segments.without_clipped`).
     """
-    posterior = diagnosis.posterior
-    if posterior.observed.drive is None:
-        return diagnosis
+    posterior, plan = diagnosis.posterior, plan_of(diagnosis.posterior)
     context, condition = posterior.context, posterior.conditions[0]
     known = {(e.name, e.location) for e in posterior.prior.model.effects}
     found = []
-    for kind in (kind for kind in EFFECTS.values() if kind.stationary_only):
+    for kind in (kind for kind in EFFECTS.values() if kind.stationary_only and not plan.tries(kind)):
         for place in (p for k in kind.places for p in locations(k, context) if (kind.name, p) not in known):
             for start in kind.starts(place, context, condition)[:1]:
                 coordinates, precision = start.known(context, condition)

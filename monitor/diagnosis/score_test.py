@@ -12,7 +12,8 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY, first_guess, fit_exact_slopes
+from monitor.diagnosis.initial_fit import first_guess, fit_exact_slopes
+from monitor.diagnosis.plan import FAR, LONG, plan_of
 from monitor.inference import (
     MapEstimate,
     Posterior,
@@ -20,16 +21,13 @@ from monitor.inference import (
     join_coordinates,
     maximize_posterior,
     tone_log_odds,
+    tried,
     unfitted,
 )
 from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
 
 _log = logging.getLogger(__name__)
 
-_MAX_STEPS_ROUGH = 5
-"""Most iterations of a rough fit without a measured ground. [iterations; cost]"""
-_AMBIENT_TOLERANCE_NATS = 0.02
-"""Expected gain of the next step at which a fit ends where the ground was not measured. [nats; judgement]"""
 _MIN_LOG_PRIOR = -20.0
 """Log prior below which the model without the effect lies so far from its prior that a fit starts better from the
 prior. [nats; judgement]"""
@@ -60,8 +58,16 @@ def key_of(effect: Effect) -> Key:
 
 
 def fit_with(posterior: Posterior, fit: MapEstimate, effects: tuple[Effect, ...]) -> MapEstimate:
-    """Fit with other effects, beginning at the nuisances of a fit and at the effects' own sizes."""
-    return maximize_posterior(posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects)
+    """Fit with other effects, beginning at the nuisances of a fit and at the effects' own sizes.
+
+    Where no structure is there without the others, the fit begins at the prior's.
+    """
+    x = fit.x[posterior.layout.nuisances]
+    found = maximize_posterior(posterior, join_coordinates(x, effects), effects)
+    if found.is_possible:
+        return found
+    x = posterior.layout.with_structure(x, posterior.prior.mean)
+    return maximize_posterior(posterior, join_coordinates(x, effects), effects)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,19 +116,18 @@ def candidate_starts(posterior: Posterior, null_fit: MapEstimate, excluded: Iter
     occupied = {e.location for e in null_fit.effects if e.nonlinear}
     skip, peaks = set(excluded), find_excess_peaks(posterior, null_fit)
     out: list[Effect] = []
-    for kind in _tried_kinds(driven=posterior.observed.drive is not None):
+    for kind in filter(plan_of(posterior).tries, EFFECTS.values()):
         for place in (p for k in kind.places for p in locations(k, context)):
             if kind.repeatable or ((kind.name, place) not in skip and not (kind.nonlinear and place in occupied)):
                 out += kind.starts(place, context, typical)
-                out += filter(None, (kind.at_peak(place, peak, context, typical) for peak in peaks))
+                out += filter(None, (at_peak(kind, place, peak, posterior) for peak in peaks))
     return [e for e in out if _is_applicable(e, context) and e.is_plausible(posterior.observed.band.hz)]
 
 
-def _tried_kinds(*, driven: bool) -> list[type[Effect]]:
-    """List the kinds of effects that are tried: beside a measured input no other one, nor what needs stationary motion."""
-    if driven:  # another input would only compensate for errors of the model's response
-        return [kind for kind in EFFECTS.values() if kind.family != "excitation" and not kind.stationary_only]
-    return [kind for kind in EFFECTS.values() if not kind.driven_only]
+def at_peak(kind: type[Effect], place: str, peak: Peak, posterior: Posterior) -> Effect | None:
+    """Make the first size of an effect at a peak; None where it has no frequency, or the peak has no power."""
+    typical = posterior.conditions[posterior.n_classes // 2]
+    return tried(lambda: kind.at_peak(place, peak, posterior.context, typical), None)
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:
@@ -202,6 +207,11 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
 
     The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
     """
+    return tried(lambda: _expected_gains(posterior, null_fit, candidates), []) if null_fit.is_possible else []
+
+
+def _expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> Ranked:
+    """As `expected_gains`; raises where something cannot be computed, see `tried`."""
     prediction = posterior.predict(null_fit.x, null_fit.effects)
     mean, precision = posterior.normal_prior(null_fit.x, null_fit.effects)
     tangent = null_fit.slopes
@@ -209,10 +219,10 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
     residual = np.concatenate([null_fit.residual, null_fit.mean_residual])
     # The nuisances' slope is that of the posterior, since a pull away from their prior is evidence of an effect.
     nuisance_slope = tangent.along(residual) - precision @ (null_fit.x - mean)
-    driven = posterior.observed.drive is not None
+    by_slope = plan_of(posterior).ranks_by_slope
 
     def predict_gain(effect: Effect) -> Ranked:
-        if effect.proportional and not driven:
+        if effect.proportional and by_slope:
             out, v = [], whitened_slope(posterior, null_fit, prediction, effect)
         else:
             start = start_beside(posterior, null_fit.x, effect)
@@ -222,7 +232,6 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
             out = [(whole, effect)]
             if not effect.proportional:
                 return out
-            # Phases of a driven response differ much between two fits, so whole changes rank better (docs/measured-frames.md).
             v = whitened_change(posterior, prediction, moved)
         along = tangent.along(v)
         information = float(v @ v - along @ normal @ along)
@@ -231,13 +240,13 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
         if scaled is None:
             return out
         gain = 0.5 * score**2 / information
-        if scaled.is_narrow and not driven:
+        if scaled.is_narrow and by_slope:
             # A peak may rise so far above the model's power that the gain is nowhere near quadratic.
             moved = posterior.predict(null_fit.x, (*null_fit.effects, scaled))
             gain = min(gain, posterior.log_likelihood(moved.spectra, levelled=True) - null_fit.log_likelihood)
         return [*out, (gain, scaled)]
 
-    gains = chain.from_iterable(parallel_map(predict_gain, candidates))
+    gains = chain.from_iterable(parallel_map(lambda effect: tried(lambda: predict_gain(effect), ()), candidates))
     return [(gain, effect) for gain, effect in gains if np.isfinite(gain)]
 
 
@@ -263,11 +272,11 @@ def whitened_slope(
 
 
 def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
-    """Decide if a fit without measured ground motion went far from the structure's prior.
+    """Decide if a fit went far from the structure's prior, so that effects are tried beside the prior too.
 
     Modes that the model lacks lead a fit there for good: beside the prior's structure they are other modes.
     """
-    if posterior.observed.drive is not None or any(effect.repeatable for effect in null_fit.effects):
+    if not plan_of(posterior).tries_beside_prior or any(effect.repeatable for effect in null_fit.effects):
         return False
     at, n_held = posterior.prior.mean.copy(), _n_held(posterior)
     at[:n_held] = null_fit.x[:n_held]
@@ -306,7 +315,9 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
 
     def fitted(effect: Effect) -> MapEstimate:
         near = _fit_at_prior(posterior, null_fit, effect)[1]
-        return maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_ROUGH, keep_slopes=False)
+        return maximize_posterior(
+            posterior, near.x, near.effects, iterations=plan_of(posterior).rough_steps, keep_slopes=False
+        )
 
     fits = parallel_map(fitted, effects)
     if fits:
@@ -365,11 +376,11 @@ def fit_candidate(
     ranking; no further search can start from it.  A candidate below `min_log_evidence`, nats, does not matter, and its fit is not
     repeated from the prior.  The evidence is minus infinity where the fit leads to a structure that cannot be computed.
     """
-    try:
-        return _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick)
-    except np.linalg.LinAlgError:
-        fit = unfitted(posterior, null_fit.x, (*null_fit.effects, effect))
-        return Candidate(effect, fit, -np.inf, -np.inf)
+    fit = unfitted(posterior, null_fit.x, (*null_fit.effects, effect))
+    nothing = Candidate(effect, fit, -np.inf, -np.inf)
+    if not null_fit.is_possible:
+        return nothing
+    return tried(lambda: _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick), nothing)
 
 
 def _fit_candidate(
@@ -381,22 +392,20 @@ def _fit_candidate(
     *,
     quick: bool,
 ) -> Candidate:
-    """As `fit_candidate`; raises LinAlgError where something cannot be computed."""
-    driven = posterior.observed.drive is not None
-    # Driven motion is so informative that a cause changes the other slopes at once.
-    frozen = null_fit.slopes if quick and not driven else None
-    few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
+    """As `fit_candidate`; raises where something cannot be computed, see `tried`."""
+    plan = plan_of(posterior)
+    frozen = null_fit.slopes if quick and plan.keeps_slopes else None
     fitted = partial(
         maximize_posterior,
         posterior,
-        iterations=few if quick else many,
-        tolerance=COARSE if driven else _AMBIENT_TOLERANCE_NATS,
+        iterations=plan.rough_steps if quick else plan.full_steps,
+        tolerance=plan.tolerance,
         keep_slopes=not quick,
     )
-    if driven and effect.nonlinear:
+    if plan.integrates_laws and effect.nonlinear:
         return _fit_driven_law(posterior, null_fit, effect, None if rough is None else rough.fit, quick=quick)
     start = null_fit.x, (*null_fit.effects, effect)
-    if rough is not None and not driven and rough.delta_log_posterior > 0.0:
+    if rough is not None and plan.starts_anywhere and rough.delta_log_posterior > 0.0:
         start = rough.fit.x, rough.fit.effects
     found = score_candidate(posterior, null_fit, fitted(*start, frozen=frozen))
     if not quick and far_from_prior(posterior, null_fit):
@@ -425,9 +434,9 @@ def _fit_driven_law(
         x, effects = start_beside(posterior, null_fit.x, effect), (*null_fit.effects, effect)
     else:
         x, effects = rough.x, rough.effects
-    exact = posterior.with_exact_slopes(x, effects)
-    steps = ROUGHLY if quick else FAR
-    fit = maximize_posterior(exact, x, effects, iterations=steps, tolerance=COARSE, keep_slopes=not quick)
+    exact, plan = posterior.with_exact_slopes(x, effects), plan_of(posterior)
+    steps = plan.rough_steps if quick else plan.full_steps
+    fit = maximize_posterior(exact, x, effects, iterations=steps, tolerance=plan.tolerance, keep_slopes=not quick)
     if not quick:
         fit = fit_exact_slopes(exact, fit)[1]
     return score_candidate(posterior, null_fit, fit)
@@ -440,7 +449,7 @@ def start_beside(posterior: Posterior, x: Annotated[Array, "p"], effect: Effect)
     measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness with which
     it has that secant.
     """
-    if posterior.observed.drive is None or not effect.nonlinear:
+    if not (plan_of(posterior).integrates_laws and effect.nonlinear):
         return x
     context, layout = posterior.context_at(x), posterior.layout
     n, k = context.structure.n_dofs, context.structure.stiffness_n_per_m
@@ -473,12 +482,9 @@ def score_candidate(posterior: Posterior, null_fit: MapEstimate, fitted: MapEsti
 def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
     """Add to a machine's evidence what its steady amplitude tells, which a random motion of the same spectrum has not."""
     lines = candidate.effect.lines()
-    if not lines or posterior.observed.drive is not None or not np.isfinite(candidate.log_evidence):
+    if not lines or not plan_of(posterior).tells_tones or not np.isfinite(candidate.log_evidence):
         return candidate
-    try:
-        odds = sum(tone_log_odds(posterior, candidate.fit, line) for line in lines)
-    except np.linalg.LinAlgError:  # the fit has led to no structure
-        odds = -np.inf
+    odds = tried(lambda: sum(tone_log_odds(posterior, candidate.fit, line) for line in lines), -np.inf)
     return replace(candidate, log_evidence=candidate.log_evidence + odds)
 
 
@@ -502,7 +508,8 @@ def evidence_cost(posterior: Posterior, fit: MapEstimate, i: int = -1) -> float:
         return cost
     own = fit.coordinates_of(i).start + known
     covariance = fit.covariance[np.ix_(own, own)] / np.outer(std[known], std[known])
-    return cost - 0.5 * float(np.log(np.clip(np.linalg.eigvalsh(covariance), _LEAST_VARIANCE, 1.0)).sum())
+    variances = tried(lambda: np.linalg.eigvalsh(covariance), np.full(known.size, _LEAST_VARIANCE))
+    return cost - 0.5 * float(np.log(np.clip(variances, _LEAST_VARIANCE, 1.0)).sum())
 
 
 def parameter_cost(posterior: Posterior, n_more: int) -> float:

@@ -10,6 +10,7 @@ from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.missing_modes import is_credible
 from monitor.diagnosis.parameter_uncertainty import is_significant
+from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.score_test import (
     Candidate,
     Key,
@@ -32,6 +33,7 @@ from monitor.inference import (
     Posterior,
     join_coordinates,
     measure_moments,
+    tried,
 )
 from monitor.model import Effect
 
@@ -63,12 +65,12 @@ def run_selection_round(
     excluded = [key_of(e) for e in (*persistent, *fit.effects)]
     starts = rank_by_score(posterior, fit, excluded, settings.favourites)
     ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
-    if posterior.observed.drive is None:
-        valid = fit_ambient(posterior, fit, ranked, settings)
-    else:
+    if plan_of(posterior).separates_kinds:
         rough = _fit_driven_roughly(posterior, fit, ranked, [effect for _, effect in starts])
         fitted = fit_fully(posterior, fit, _shortlist_driven(ranked, rough, settings), rough, -np.inf)
         valid = [c for c in fitted.values() if is_valid_cause(posterior, c)]
+    else:
+        valid = fit_ambient(posterior, fit, ranked, settings)
     contenders = simulate_contenders(posterior, fit, best_first(valid), added, settings)
     return sorted(contenders, key=lambda p: -p.candidate.log_evidence)
 
@@ -79,7 +81,7 @@ def is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     An oscillator must move within the band and must not be damped at once, since a heavy mass that hardly moves acts as a damper.
     """
     effect = candidate.effect
-    if not np.isfinite(candidate.fit.log_posterior):
+    if not candidate.fit.is_possible:
         return False
     if not (effect.is_plausible(posterior.observed.band.hz) and is_credible(posterior, candidate.fit)):
         return False
@@ -197,8 +199,7 @@ def simulate_contenders(
 
 def _laws_in_doubt(posterior: Posterior, candidates: list[Candidate], settings: DiagnosisSettings) -> list[Key]:
     """List the nonlinear laws, by name and place, that may prove to be the best of the candidates, best first."""
-    # A response to measured ground motion is computed with the exact laws.
-    if not candidates or candidates[0].log_evidence < settings.margin or posterior.observed.drive is not None:
+    if not candidates or candidates[0].log_evidence < settings.margin or plan_of(posterior).integrates_laws:
         return []
     best = candidates[0]
     reach = best.log_evidence - max(settings.rival, settings.linearization * best.delta_log_posterior)
@@ -211,7 +212,13 @@ def _simulated(
     """Refit some of the contenders with their laws simulated."""
     known = {p.candidate.key: p for p in contenders}
     chosen = [known[key] for key in keys]
-    refitted = parallel_map(lambda p: refit_by_simulation(p.posterior, fit, p.candidate, effort), chosen)
+    refitted = parallel_map(
+        lambda p: tried(
+            lambda: refit_by_simulation(p.posterior, fit, p.candidate, effort),
+            replace(p, candidate=replace(p.candidate, log_evidence=-np.inf)),
+        ),
+        chosen,
+    )
     return list((known | {p.candidate.key: p for p in refitted}).values())
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.score_test import Candidate, key_of, score_candidate
 from monitor.inference import (
     CorrectedPosterior,
@@ -32,6 +33,7 @@ from monitor.inference import (
     simulate_exact,
     simulate_moments,
     simulate_spectra,
+    tried,
     with_coordinates,
 )
 from monitor.model import Context, Effect, StructuralPrior, loaded
@@ -139,7 +141,7 @@ def fit_initial_model(
     posterior, null_fit = fit_linearized(observed, prior, context, start)
     simulated = linear = posterior, null_fit, normal_moments(posterior)
     for _ in range(_N_REFITS):
-        simulated = fit_persistent_effects(*simulated[:2])
+        simulated = tried(partial(fit_persistent_effects, *simulated[:2]), linear)
     # Near the strongest motion that a law allows, forces fitted to its linear form make the exact law diverge.  Then the
     # linear form is kept.
     return max(simulated, linear, key=lambda candidate: candidate[1].log_posterior)
@@ -148,7 +150,7 @@ def fit_initial_model(
 def fit_persistent_effects(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
     """Refit with the correction of the persistent laws only; without such laws or with measured ground motion, do not refit."""
     linear = replace(posterior, offset=None)
-    if posterior.observed.drive is not None or not any(e.nonlinear for e in posterior.prior.effects(fit.x)):
+    if plan_of(posterior).integrates_laws or not any(e.nonlinear for e in posterior.prior.effects(fit.x)):
         return linear, fit, normal_moments(posterior)
     simulated_fit = fit_by_simulation(linear, fit)
     return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments

@@ -10,7 +10,7 @@ import numpy as np
 from monitor.core import BadInputError, OnProgress, Step, parallel_map
 from monitor.diagnosis.ambiguity import predict_the_same, probabilities, tied_candidates
 from monitor.diagnosis.backward_elimination import eliminate_backward, find_better_null_fit, update_linearization
-from monitor.diagnosis.initial_fit import FAR, fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
+from monitor.diagnosis.initial_fit import fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, lack_of_fit_cost
 from monitor.diagnosis.missing_modes import (
     couple_modes,
@@ -22,6 +22,7 @@ from monitor.diagnosis.missing_modes import (
 )
 from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
+from monitor.diagnosis.plan import FAR, plan_of
 from monitor.diagnosis.score_test import (
     Candidate,
     best_of_each_kind,
@@ -35,13 +36,19 @@ from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_by_simulation, fit_initial_model
 from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, is_independent_of_direction, judge, refine
-from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
+from monitor.inference import (
+    CorrectedPosterior,
+    MapEstimate,
+    Moments,
+    ObservedSpectra,
+    Posterior,
+    maximize_posterior,
+    tried,
+)
 from monitor.model import Context, StructuralPrior
 
 _N_GROUND_TESTS = 2
 """Candidates beside which the ground's motion between its samples is tested again. [count; cost]"""
-_FREQUENCY_SHIFT = 0.05
-"""Relative change of a frequency from which the form of the damping matters. [ratio; judgement]"""
 _NO_FREQUENCY = 1.0
 """Stands for the change of a mode that is unstable without the last cause or with it, so that it has no frequency. [ln ratio;
 definition: the damping is known to a factor of e then]"""
@@ -134,11 +141,18 @@ def _begin(
     cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.  Return what
     `start_from_modes` returns.
     """
-    begun = start_from_modes(_first_stage(observed, prior, context, settings), settings)
+    first = _first_stage(observed, prior, context, settings)
+    if first is None:
+        raise BadInputError(
+            "no structure near the structure file's can be fitted to the spectra: look at units and channels with 'look'"
+        )
+    begun = start_from_modes(first, settings)
     stage = begun[0]
     if wider is None or not find_lack_of_fit(stage.posterior, stage.fit, settings):
         return begun
     shaped = _first_stage(observed, wider, context, settings)
+    if shaped is None:
+        return begun
     cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
     gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit)
     left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
@@ -150,13 +164,12 @@ def _begin(
 
 def _first_stage(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
-) -> SearchState:
-    """Fit the model without causes."""
-    posterior, fit, moments = fit_initial_model(observed, prior, context)
-    if not np.isfinite(fit.log_posterior):
-        raise BadInputError(
-            "no structure near the structure file's can be fitted to the spectra: look at units and channels with 'look'"
-        )
+) -> SearchState | None:
+    """Fit the model without causes; None where no structure near the prior's can be fitted."""
+    begun = tried(lambda: fit_initial_model(observed, prior, context), None)
+    if begun is None or not begun[1].is_possible:
+        return None
+    posterior, fit, moments = begun
     return SearchState(posterior, fit, fit, (), moments, settings.margin)
 
 
@@ -263,7 +276,7 @@ def _may_be_far_off(posterior: Posterior) -> bool:
     """Decide if the structure may be far from its prior, with modes to which the recording's own can be compared."""
     # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
     is_changed = any(e.parameters and e.family != "excitation" for e in posterior.prior.model.effects)
-    return not (posterior.observed.drive is not None or posterior.prior.is_baseline or is_changed)
+    return not (plan_of(posterior).separates_kinds or posterior.prior.is_baseline or is_changed)
 
 
 def _follow(
@@ -312,8 +325,8 @@ def _n_counted(stage: SearchState) -> int:
     Modes that the model lacks may be many.  So may sensors' faults where an input was measured, which separates them
     from all else; without one, several of them imitate crosstalk.
     """
-    driven = stage.posterior.observed.drive is not None
-    return sum(not (c.effect.repeatable or (driven and c.effect.family == "sensor")) for c in stage.accepted)
+    apart = plan_of(stage.posterior).separates_kinds
+    return sum(not (c.effect.repeatable or (apart and c.effect.family == "sensor")) for c in stage.accepted)
 
 
 def _add_missing_modes(
@@ -341,8 +354,8 @@ def _add_missing_modes(
 def _acceptance_threshold(stage: SearchState, settings: DiagnosisSettings) -> float:
     """Compute the log evidence that the next cause needs, nats."""
     posterior = stage.posterior
-    if posterior.observed.drive is not None:
-        return stage.margin  # most of the lack of fit is in the response, which the misfit in bands does not count
+    if not plan_of(posterior).judges_by_bands:
+        return stage.margin
     cost = lack_of_fit_cost(posterior, find_lack_of_fit(posterior, stage.fit, settings))
     return max(stage.margin, settings.share * cost)
 
@@ -355,41 +368,46 @@ def _refit_ground_interpolation(
     Without the cause another interpolation may have compensated for the cause, and with that interpolation a cause with more
     parameters may look better.
     """
-    drive = stage.posterior.observed.drive
-    if drive is None or not candidates or candidates[0].candidate.log_evidence < min_gain:
+    interpolations = {p.between: p for p in stage.posterior.other_interpolations()}
+    if not interpolations or not candidates or candidates[0].candidate.log_evidence < min_gain:
         return None
-    scored: list[tuple[float, ObservedSpectra]] = []
+    scored = []
     for p in candidates[:_N_GROUND_TESTS]:
         before = p.candidate.fit
         posterior, fit = fit_ground_interpolation(p.posterior, before)
-        scored.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.observed))
-    best = max(scored, key=lambda pair: pair[0])[1]
-    assert best.drive is not None
-    if best.drive.between == drive.between:
+        scored.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.between))
+    posterior = interpolations.get(max(scored, key=lambda pair: pair[0])[1], stage.posterior)
+    if posterior is stage.posterior:
         return None
-    posterior = replace(stage.posterior, observed=best)
-    return posterior, maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
+    found = maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
+    return (posterior, found) if found.is_possible else None
 
 
 def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSettings) -> SearchState:
     """Accept a cause: refit all parameters beside it, and update the evidence that a further cause needs."""
-    accepted = (*stage.accepted, best.candidate)
-    posterior, fit = best.posterior, best.candidate.fit
-    driven = posterior.observed.drive is not None
-    posterior, fit = fit_ground_interpolation(_extend_posterior(posterior, fit), fit)
-    # The damping has a looser prior now, and the motion and the frequency range of the forces are known.
-    fit = maximize_posterior(posterior, fit.x, fit.effects)
-    if driven and has_nonlinear(fit):
-        posterior, fit = fit_exact_slopes(posterior, fit)
-    posterior, fit = fit_ambient_forces(posterior, fit)
-    added, margin = best.moments, stage.margin
-    if len(accepted) > 1 and has_nonlinear(fit) and not driven:  # the present correction lacks the newest cause
-        simulated_fit = fit_by_simulation(posterior, fit)
-        posterior, fit, added = simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
+    accepted, margin = (*stage.accepted, best.candidate), stage.margin
+    as_found = best.posterior, best.candidate.fit, best.moments
+    refitted = tried(lambda: _refit_accepted(best, n_accepted=len(accepted)), as_found)
+    posterior, fit, added = refitted if refitted[1].is_possible else as_found
     if best.candidate.effect.nonlinear:
         error = settings.aftermath * best.candidate.delta_log_posterior
         margin = max(margin, error, settings.margin + DIFFERS_STDS * best.log_evidence_std)
     return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
+
+
+def _refit_accepted(best: RefittedCandidate, n_accepted: int) -> tuple[Posterior, MapEstimate, Moments]:
+    """Refit all parameters beside a cause, the last of `n_accepted`; return the moments that the laws add too."""
+    posterior, fit = best.posterior, best.candidate.fit
+    posterior, fit = fit_ground_interpolation(_extend_posterior(posterior, fit), fit)
+    # The damping has a looser prior now, and the motion and the frequency range of the forces are known.
+    fit = maximize_posterior(posterior, fit.x, fit.effects)
+    posterior, fit = fit_exact_slopes(posterior, fit)
+    posterior, fit = fit_ambient_forces(posterior, fit)
+    integrated = plan_of(posterior).integrates_laws
+    if n_accepted > 1 and has_nonlinear(fit) and not integrated:  # the present correction lacks the newest cause
+        simulated_fit = fit_by_simulation(posterior, fit)
+        return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
+    return posterior, fit, best.moments
 
 
 def _accept_beside_tie(
@@ -455,9 +473,9 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     ratios = replace(posterior, prior=posterior.prior.with_looser_damping(change))
     known = posterior.damped_as_built or isinstance(posterior, CorrectedPosterior)
     # A measured input shows the damping of modes that have hardly moved since calibration; a drawing knows of no damping.
-    driven = posterior.observed.drive is not None
-    known |= driven and not posterior.prior.is_baseline
-    if known or np.abs(change).max() <= (0.0 if driven else _FREQUENCY_SHIFT):
+    plan = plan_of(posterior)
+    known |= plan.shows_damping and not posterior.prior.is_baseline
+    if known or np.abs(change).max() <= plan.damping_shift:
         return ratios
     matrix = replace(ratios, damped_as_built=True)
     return max(ratios, matrix, key=lambda form: maximize_posterior(form, fit.x, fit.effects).log_posterior)

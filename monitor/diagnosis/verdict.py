@@ -23,10 +23,11 @@ from monitor.diagnosis.lack_of_fit import (
 )
 from monitor.diagnosis.missing_modes import as_seen, is_credible, is_stated
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
+from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_with
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_persistent_effects, refine_fit
-from monitor.inference import MapEstimate, Posterior, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, maximize_posterior, tried
 from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -183,9 +184,12 @@ def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCau
 
     The fit has the accepted causes, then the most probable alternative where the answer is ambiguous.
     """
-    if not has_nonlinear(fit) or posterior.observed.drive is not None:
+    if not has_nonlinear(fit) or plan_of(posterior).integrates_laws:
         return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
-    near, fit = refine_fit(posterior, fit)
+    refined = tried(lambda: refine_fit(posterior, fit), None)
+    if refined is None or not refined[1].is_possible:
+        return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
+    near, fit = refined
     # With a better size of the law another cause may be no longer significant.
     kept = [
         is_significant(e, std)
@@ -199,7 +203,7 @@ def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) 
     """Keep only causes that bands without lack of fit confirm too: in others a search finds tones and laws that do not exist."""
     posterior, fit = found.posterior, found.fit
     wrong = wrong_bins(posterior, fit, settings)
-    if not found.n_accepted or not wrong.any() or posterior.observed.drive is not None:
+    if not found.n_accepted or not wrong.any() or not plan_of(posterior).judges_by_bands:
         return found
     elsewhere = replace(posterior, left_out=wrong)
     whole = maximize_posterior(elsewhere, fit.x, fit.effects)

@@ -22,7 +22,7 @@ from .higher_moments import (
     simulate_moments as simulate_moments,
     tone_log_odds as tone_log_odds,
 )
-from .input_response import Between as Between, Drive as Drive
+from .input_response import Drive as Drive
 from .linearization import linearize as linearize
 from .map_estimate import MapEstimate as MapEstimate, maximize_posterior as maximize_posterior, unfitted as unfitted
 from .observed_spectra import (
@@ -39,4 +39,5 @@ from .posterior import (
     with_coordinates as with_coordinates,
 )
 from .segments import LeftOut as LeftOut, Segments as Segments, gather as gather
-from .starting_point import FORCED as FORCED, guess_levels as guess_levels, make_posterior as make_posterior
+from .starting_point import guess_levels as guess_levels, make_posterior as make_posterior
+from .trial import require_finite as require_finite, tried as tried

@@ -21,10 +21,21 @@ from monitor.inference.cross_spectra import (
     random_spectra,
 )
 from monitor.inference.forward_model import Prediction
-from monitor.inference.posterior import Posterior, difference_operator, of_coordinates, with_coordinates
+from monitor.inference.posterior import FORCE_STD, Posterior, difference_operator, of_coordinates, with_coordinates
 from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
-from monitor.inference.system_slopes import SystemChange, force_matrix, packed, system_slopes, unpacked
+from monitor.inference.system_slopes import (
+    Matrices,
+    SystemChange,
+    force_matrix,
+    modal_changes,
+    packed,
+    system_slopes,
+    unpacked,
+)
 from monitor.model import Context, Effect, System
+
+_LINEAR = 1e-9
+"""Share of a change up to which it is the sum of its parts. [ratio; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,6 +73,18 @@ class AmbientPosterior(Posterior):
     def relative_levels(self, x: Array) -> Array:
         levels = x[self.layout.levels]
         return np.asarray(np.exp(levels - levels[self.n_classes // 2]))
+
+    @override
+    def force_precision(self) -> Array:
+        return np.diag(np.full(self.context.structure.n_dofs, FORCE_STD) ** -2.0)
+
+    @override
+    def first_levels(self, ratio: Array) -> tuple[float, Array]:
+        return float(np.log(ratio.mean())), np.asarray(np.log(ratio / ratio.mean()))
+
+    @override
+    def levels_of_equal_forces(self, ratio: Array) -> tuple[float, float | Array]:
+        return 0.0, np.asarray(np.log(ratio))
 
     def force_prior(self, x: Array) -> tuple[Array, Array]:
         """The prior mean of every floor's force is the mean over floors."""
@@ -196,24 +219,57 @@ class AmbientPosterior(Posterior):
             matrices = system.mass, system.damping, system.stiffness
             return system, (*matrices, system.sensors(context.sensors), forces, lines)
 
+        system, here = at(x, bare, context, everything)
+        exact: dict[int, Matrices] = {}
+        basis = None
+        if system is bare and not has_lines:
+            basis, exact = self._exact_changes(x, everything)
+        unmoved, forces = [np.zeros_like(part) for part in here[3:]], range(x.size)[self.layout.forces]
+
         def moved(i: int) -> tuple[Array, ...]:
+            if i in exact:
+                return (*exact[i], *unmoved)
             h, moved_x = self.nudged(x, i, effects)
             with_one = list(everything)
             if i in owners:
                 first = min(j for j, owner in owners.items() if owner == owners[i])
                 one = everything[owners[i]]
                 with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
-            if i in owners and everything[owners[i]].keeps_structure:
+            if i in forces or (i in owners and everything[owners[i]].keeps_structure):
                 _, there = at(moved_x, bare, context, with_one)
             else:
                 _, there = at(moved_x, self.system(moved_x, with_one), self.context_at(moved_x), with_one)
             return tuple((after - before) / h for after, before in zip(there, here, strict=True))
 
-        system, here = at(x, bare, context, everything)
         changes = [moved(i) for i in wanted]
         of_system = [SystemChange(*change[:-1]) for change in changes]
-        slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition)
+        slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition, basis)
         return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
+
+    def _exact_changes(self, x: Array, everything: Sequence[Effect]) -> tuple[Array | None, dict[int, Matrices]]:
+        """Differentiate the system by the structure's own parameters, where it is linear in these; results as of `modal_changes`.
+
+        Nothing where an effect changes the structure, or a change of all stiffnesses is not the sum of the changes by each.
+        """
+        layout, at, structure = self.layout, range(x.size), self.context_at(x).structure
+        k, m = structure.stiffness_n_per_m, structure.masses_kg
+        by_k = k[:, None, None] * structure.stiffness_derivatives()
+        doubled = structure.with_stiffness(2.0 * k).stiffness_matrix() - structure.stiffness_matrix()
+        is_linear = np.allclose(doubled, by_k.sum(axis=0), rtol=0.0, atol=_LINEAR * np.abs(doubled).max())
+        if not is_linear or self.damped_as_built or not all(e.keeps_structure for e in everything):
+            return None, {}
+        basis = np.zeros((0, *doubled.shape))
+        if x[layout.correction].size:
+            basis = self.prior.basis * np.exp((x[layout.masses] - self.prior.mean[layout.masses]).mean())
+        grown = np.tensordot(x[layout.correction], basis, axes=1) / m.size  # the correction scales with the masses
+        by_mass, by_stiffness = np.zeros((2, k.size + m.size + len(basis), *doubled.shape))
+        by_mass[k.size : k.size + m.size] = m[:, None, None] * structure.mass_derivatives()
+        by_stiffness[:] = np.concatenate([by_k, np.broadcast_to(grown, (m.size, *doubled.shape)), basis])
+        found = modal_changes(self.system(x, everything), np.exp(x[layout.damping]), by_mass, by_stiffness)
+        if found is None:
+            return None, {}
+        those = (*at[layout.stiffness], *at[layout.masses], *at[layout.correction], *at[layout.damping])
+        return found[0], dict(zip(those, found[1], strict=True))
 
 
 def _slope(of: Callable[[Spectra], Spectra], here: Spectra, at: Spectra, along: ComplexArray, step: float) -> Spectra:

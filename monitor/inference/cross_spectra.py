@@ -20,6 +20,7 @@ from scipy.optimize import brentq
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectrum
 from monitor.inference.judged_band import JudgedBand
+from monitor.inference.trial import require_finite
 from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
@@ -91,8 +92,7 @@ def modally_damped(mass: Annotated[Array, "n n"], stiffness: Annotated[Array, "n
 
     Raises LinAlgError if the mass matrix is not positive definite, or an entry is not finite.
     """
-    if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):
-        raise np.linalg.LinAlgError("a mass or a stiffness is not finite")
+    require_finite(mass, stiffness)
     eigenvalues, shapes = eigh(stiffness, mass)
     carried = mass @ shapes
     return System(mass, (carried * (2.0 * ratios * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T, stiffness)
@@ -341,6 +341,7 @@ def ground_density(
         part = np.exp(ln_density) * by_ground
         return float((part / (part + by_force)).mean()) - share
 
+    require_finite(by_force, by_ground)
     middle = float(np.log(by_force.mean() / by_ground.mean()))
     # At these densities every channel has less, or more, than its share; in a trial step they may lie far apart.
     ends = np.log(by_force / by_ground) + np.log(share / (1.0 - share))

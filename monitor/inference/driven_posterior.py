@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Self
+from typing import Annotated, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,10 @@ from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
 from monitor.model import Effect
 
+_FORCED = 1e-3
+"""Share of the power beside a measured ground that forces cause, at the start. [ratio; judgement]"""
+_INITIAL_MODEL_ERROR = 0.5
+"""Error of the model as a share of the amplitude at the start of a fit to driven motion. [ratio; judgement]"""
 _WIND_STD = 0.15
 """Prior standard deviation of the logarithm of a floor's force that the recording's quiet segments tell. [1;
 judgement]"""
@@ -66,7 +70,38 @@ class DrivenPosterior(Posterior):
 
     @override
     def part(self, observed: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
-        return replace(Posterior.part(self, observed, classes), exact_slopes=None)
+        part = replace(Posterior.part(self, observed, classes), exact_slopes=None)
+        return part.between_samples(self.drive.between)
+
+    @property
+    @override
+    def between(self) -> Between | None:
+        return self.drive.between
+
+    @override
+    def other_interpolations(self) -> tuple[Self, ...]:
+        return tuple(self.between_samples(b) for b in get_args(Between) if b != self.drive.between)
+
+    @override
+    def unmeasured_share(self, effects: Sequence[Effect]) -> float:
+        return 0.0
+
+    @override
+    def force_precision(self) -> Array:
+        """No class's level is that of the forces."""
+        return difference_operator(self.context.structure.n_dofs)
+
+    @override
+    def first_levels(self, ratio: Array) -> tuple[float, Array]:
+        """The forces are small, and the levels are those of the model's error as a share of the power."""
+        power = np.einsum("kfaa->kfa", self.observed.spectra).real
+        own = np.log(power / self.power).mean(axis=(1, 2)) + 2.0 * np.log(_INITIAL_MODEL_ERROR)
+        return float(np.log(ratio.mean()) + np.log(_FORCED)), np.asarray(own)
+
+    @override
+    def levels_of_equal_forces(self, ratio: Array) -> tuple[float, float | Array]:
+        """One level of all forces is guessed, and the model's own error is taken as the whole power."""
+        return float(np.log(ratio).mean() + np.log(_FORCED)), 0.0
 
     def between_samples(self, between: Between) -> Self:
         """Return the posterior with another assumption on the ground's motion between its samples."""
@@ -188,6 +223,9 @@ class DrivenPosterior(Posterior):
 
     @override
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
+        if not _laws(effects):
+            return self
+
         def added(x: Array) -> ComplexArray:
             mean = self.mean(x, effects, laws="coarse")
             return np.asarray(mean - self._mean_by("linearized", x, effects, mean))

@@ -20,14 +20,12 @@ from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.posterior import (
-    FORCE_STD,
     LEVEL_STD,
     MAX_EXCITATION_STEP,
     NUDGE,
     Posterior,
-    difference_operator,
 )
-from monitor.inference.starting_point import FORCED, guess_levels, make_posterior
+from monitor.inference.starting_point import guess_levels, make_posterior
 from monitor.inference.wishart import grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
@@ -157,15 +155,9 @@ def _best_between_samples(posterior: DrivenPosterior, known: StructuralPrior) ->
 
 
 def _first_guess(posterior: Posterior) -> Array:
-    """Guess the levels of the forces.
-
-    With a measured ground one level of all forces is guessed, and the model's own error is taken as the whole power.
-    """
+    """Guess the levels of equal forces."""
     x, ratio = guess_levels(posterior)
-    if isinstance(posterior, DrivenPosterior):
-        x[posterior.layout.forces] = np.log(ratio).mean() + np.log(FORCED)
-    else:
-        x[posterior.layout.levels] = np.log(ratio)
+    x[posterior.layout.forces], x[posterior.layout.levels] = posterior.levels_of_equal_forces(ratio)
     return x
 
 
@@ -266,9 +258,8 @@ class _ExcitationFit:
     def at(cls, posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> Self:
         """Start at `x`."""
         n, k = posterior.context.structure.n_dofs, posterior.n_classes
-        precision = np.diag(np.r_[np.full(n, FORCE_STD), np.full(k + 1, LEVEL_STD)] ** -2.0)
-        if isinstance(posterior, DrivenPosterior):  # no class's level is theirs
-            precision[:n, :n] = difference_operator(n)
+        precision = np.diag(np.full(n + k + 1, LEVEL_STD) ** -2.0)
+        precision[:n, :n] = posterior.force_precision()
         return cls(posterior, x.copy(), effects, posterior.predict(x, effects).data, precision)
 
     @property

@@ -20,6 +20,7 @@ from monitor.inference.arrays import Transforms
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
+from monitor.inference.trial import require_finite
 from monitor.model import Line
 from monitor.signals import overlap_correlation, taper
 
@@ -124,6 +125,7 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
         for x, effects in ((at.x, at.effects), (at.x[: posterior.layout.n_nuisance], others))
     )
     # Of all combinations of channels, the one in which the line stands out most.
+    require_finite(total, rest)
     share, direction = (a[..., -1] for a in eigh(total - rest, total))
     c = total.shape[0]
     transforms = posterior.observed.segments.values[:, :, :c]

@@ -26,6 +26,7 @@ from monitor.inference.input_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import MIN_PILED
+from monitor.inference.trial import require_finite
 from monitor.model import Condition, Context, Effect, System
 
 _MAX_BINS = 1 << 16
@@ -62,7 +63,7 @@ def linearize(
     if with_motion:
         rms = _class_motion(posterior, x, effects, e.spectra if spectra is None else spectra)
     beyond, out = _power_above_band(posterior, x, everything), []
-    shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
+    shaken = posterior.unmeasured_share(everything) > 0.0
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
     piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
     for k, row in enumerate(rms):
@@ -86,7 +87,9 @@ def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], s
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
         step = max(step, e.band.hz[-1] / _MAX_BINS)  # a damping ratio that the fit moves to zero
-        hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
+        require_finite(step)
+        top = e.band.hz[-1] * 1.2
+        hz = np.arange(min(max(0.2 * lowest, step), top), top, step)
         motion, _ = _motion_roots(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion[e.band.forced(hz)]) ** 2).sum(axis=(0, 2))
         if isinstance(posterior, DrivenPosterior):

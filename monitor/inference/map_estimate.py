@@ -12,6 +12,7 @@ from monitor.core import Array, levenberg_marquardt
 from monitor.inference.forward_model import Prediction
 from monitor.inference.posterior import MAX_EXCITATION_STEP, Posterior, with_coordinates
 from monitor.inference.spectral_slopes import JoinedSlopes, RowSlopes, Slopes
+from monitor.inference.trial import require_finite, tried
 from monitor.model import Effect, inverse
 
 _MAX_STRUCTURE_STEP = 0.1
@@ -54,6 +55,11 @@ class MapEstimate:
         """Log posterior density of the fit up to a constant, nats."""
         return self.log_likelihood + self.log_prior
 
+    @property
+    def is_possible(self) -> bool:
+        """Whether the fit has a likelihood, see `unfitted`."""
+        return bool(np.isfinite(self.log_posterior))
+
     def without_slopes(self) -> MapEstimate:
         """Return the fit without its slopes, for what compares fits alone: with many channels the slopes take 0.1 GB."""
         return replace(self, slopes=RowSlopes(np.zeros((0, self.x.size))))
@@ -92,10 +98,10 @@ def maximize_posterior(
     keep_slopes : bool
         Whether the fit has its slopes, from which another search can start.
     """
-    try:
-        return _maximize(posterior, x, effects, iterations, tolerance, frozen, keep_slopes=keep_slopes)
-    except (np.linalg.LinAlgError, ZeroDivisionError):
-        return unfitted(posterior, x, effects)
+    return tried(
+        lambda: _maximize(posterior, x, effects, iterations, tolerance, frozen, keep_slopes=keep_slopes),
+        unfitted(posterior, x, effects),
+    )
 
 
 def unfitted(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
@@ -116,20 +122,17 @@ def _maximize(
     *,
     keep_slopes: bool,
 ) -> MapEstimate:
-    """As `maximize_posterior`; raises LinAlgError where something cannot be computed."""
+    """As `maximize_posterior`; raises where something cannot be computed, see `tried`."""
     start = _evaluate(posterior, x, effects)
     stays_stable = posterior.is_stable(start.x, effects)
 
     def evaluate(at: _Point, step: Array) -> _Point:
         moved = at.x + step
         extra = with_coordinates(at.effects, moved[posterior.layout.effects])
-        nowhere = replace(at, log_likelihood=-np.inf)
-        try:
-            if stays_stable and not posterior.is_stable(moved, extra):
-                return nowhere
-            return _evaluate(posterior, moved, extra)
-        except np.linalg.LinAlgError:  # too long a step has led to no structure
+        nowhere = replace(at, log_likelihood=-np.inf)  # too long a step leads to no structure
+        if stays_stable and not tried(lambda: posterior.is_stable(moved, extra), False):
             return nowhere
+        return tried(lambda: _evaluate(posterior, moved, extra), nowhere)
 
     def move(at: _Point, step: Array) -> _Point:
         return max(
@@ -147,8 +150,10 @@ def _maximize(
     found = search.point
     last = search.linearization or _no_slopes(start.x.size)
     slopes, information = last.slopes, last.slopes.information
+    covariance = inverse(last.normal)
+    require_finite(covariance, found.log_prior)
     estimate = MapEstimate(
-        found.x, found.effects, found.log_likelihood, found.log_prior, inverse(last.normal), search.converged,
+        found.x, found.effects, found.log_likelihood, found.log_prior, covariance, search.converged,
         slopes, last.residual, last.mean_residual, information,
     )  # fmt: skip
     return estimate if keep_slopes else estimate.without_slopes()

@@ -23,8 +23,10 @@ from scipy.linalg import block_diag
 from monitor.core import Array
 from monitor.inference.arrays import Spectra, SpectraSlopes, TransformSlopes
 from monitor.inference.forward_model import ForwardModel, Prediction
+from monitor.inference.input_response import Between
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
+from monitor.inference.trial import tried
 from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model import Effect
 
@@ -77,8 +79,35 @@ class Posterior(ForwardModel):
     def force_prior(self, x: Array) -> tuple[Annotated[Array, "n"], Annotated[Array, "n n"]]:
         """Return mean and precision of the logarithms of the floors' forces."""
 
+    @abstractmethod
+    def force_precision(self) -> Annotated[Array, "n n"]:
+        """Return the precision of the logarithms of the floors' forces while the excitation alone is fitted."""
+
+    @abstractmethod
+    def first_levels(self, ratio: Annotated[Array, "classes"]) -> tuple[float, Annotated[Array, "classes"]]:
+        """Guess the logarithms of the floors' forces and of the levels, from the power over that at zero; see `guess_levels`."""
+
+    @abstractmethod
+    def levels_of_equal_forces(
+        self, ratio: Annotated[Array, "classes"]
+    ) -> tuple[float, float | Annotated[Array, "classes"]]:
+        """Guess as `first_levels` with the least said of the forces: one level, or one a class."""
+
+    def unmeasured_share(self, effects: Sequence[Effect]) -> float:
+        """Compute the share of the motion that a ground motion causes which was not measured."""
+        return sum(e.ground_share for e in effects)
+
+    @property
+    def between(self) -> Between | None:
+        """How the ground moves between its samples; None where it was not measured."""
+        return None
+
+    def other_interpolations(self) -> tuple[Self, ...]:
+        """Return the posteriors with the other assumptions on the ground's motion between its samples."""
+        return ()
+
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
-        """Return the posterior with slopes of the exact laws near a fit; itself where no ground was measured."""
+        """Return the posterior with slopes of the exact laws near a fit; itself without such laws or a measured ground."""
         return self
 
     def log_likelihood(self, spectra: Spectra, data: Spectra | None = None, *, levelled: bool = False) -> float:
@@ -98,9 +127,13 @@ class Posterior(ForwardModel):
         return float(total) if np.isfinite(total) else -np.inf
 
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
-        """Compute the log likelihood and the log prior at a point, nats."""
-        prediction = self.predict(x, effects)
-        return self.log_likelihood(prediction.spectra, prediction.data), self.log_prior(x, effects)
+        """Compute the log likelihood, -inf where there is no structure, and the log prior at a point, nats."""
+
+        def at_point() -> tuple[float, float]:
+            prediction = self.predict(x, effects)
+            return self.log_likelihood(prediction.spectra, prediction.data), self.log_prior(x, effects)
+
+        return tried(at_point, (-np.inf, 0.0))
 
     def log_prior(self, x: Array, effects: Sequence[Effect]) -> float:
         """Compute the log prior at a point up to a constant, nats."""

@@ -143,6 +143,12 @@ class Segments:
             band=self.band.part(JudgedBand(chosen, self.band.forces_hz)),
         )
 
+    def with_inputs(self) -> Annotated[ComplexArray, "segments bins streams"]:
+        """Return the transforms of all channels, then those of the measured inputs."""
+        if self.drive is None:
+            return self.values
+        return np.concatenate([self.values, self.drive.measured(self.band)], axis=2)
+
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask."""
         share = float(chosen.mean()) if chosen.size else 0.0

@@ -13,8 +13,6 @@ from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
 from monitor.model import Condition, Context, StructuralPrior
 
-FORCED = 1e-3
-"""Share of the power beside a measured ground that forces cause, at the start. [ratio; judgement]"""
 _QUIETEST_QUANTILE = 0.02
 """Quantile of the power over frequency in which noise shows. [ratio; judgement]"""
 _NOISE_SHARE = 0.3

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import PackedSlopes
@@ -30,6 +31,8 @@ from monitor.model import Condition, Context, Effect, System
 from monitor.signals import leakage
 
 _TAPS = leakage()
+_ONE_FREQUENCY = 1e-6
+"""Difference of two squared frequencies, over the largest of all, up to which they are one. [ratio; rounding]"""
 _BLOCK = 64
 """Frequencies that are computed together. [count; cost]"""
 
@@ -45,6 +48,45 @@ class SystemChange:
     """Of what the channels see of the degrees of freedom."""
     forces: Annotated[Array, "columns columns"]
     """Of the force densities, see `force_matrix`."""
+
+
+Matrices = tuple[Annotated[Array, "N N"], Annotated[Array, "N N"], Annotated[Array, "N N"]]
+"""Changes of mass, damping and stiffness."""
+
+
+def modal_changes(
+    system: System,
+    ratios: Annotated[Array, "n"],
+    by_mass: Annotated[Array, "q n n"],
+    by_stiffness: Annotated[Array, "q n n"],
+) -> tuple[Annotated[Array, "n n"], list[Matrices]] | None:
+    """Differentiate a system made by `modally_damped`, by q changes of mass and stiffness, then by the ratios' logarithms.
+
+    The changes are in the modes' coordinates, in which those by the ratios have one entry each.  The matrix before them turns
+    them back: its product with a change and with its own transpose.  Where two modes have one frequency, their shapes have no
+    slopes: None.
+
+    References
+    ----------
+    R. L. Fox, M. P. Kapoor, AIAA Journal 6 (1968) 2426 (slopes of eigenvalues and eigenvectors).
+    """
+    eigenvalues, shapes = eigh(system.stiffness, system.mass)
+    apart = eigenvalues - eigenvalues[:, None]
+    np.fill_diagonal(apart, 1.0)
+    if not eigenvalues[0] > 0.0 or np.abs(apart).min() < _ONE_FREQUENCY * eigenvalues[-1]:
+        return None
+    omega, at = np.sqrt(eigenvalues), np.arange(eigenvalues.size)
+    damping = 2.0 * ratios * omega
+    k, m = (shapes.T @ change @ shapes for change in (by_stiffness, by_mass))
+    moved = k - eigenvalues * m  # of mode b along mode a
+    turned = moved / apart
+    turned[:, at, at] = -0.5 * m[:, at, at]
+    half = (turned + m) * damping
+    half[:, at, at] += 0.5 * ratios / omega * moved[:, at, at]
+    changes = list(zip(m, half + half.swapaxes(1, 2), k, strict=True))
+    none = np.zeros((at.size, at.size))
+    changes += [(none, np.diag(np.where(at == i, damping, 0.0)), none) for i in at]
+    return system.mass @ shapes, changes
 
 
 def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extra: int) -> Array:
@@ -66,8 +108,12 @@ def system_slopes(
     band: Band,
     context: Context,
     condition: Condition,
+    basis: Annotated[Array, "N N"] | None = None,
 ) -> PackedSlopes:
-    """Differentiate the expected cross-spectra without ground motion, packed, by coordinates that change the system."""
+    """Differentiate the expected cross-spectra without ground motion, packed, by coordinates that change the system.
+
+    Changes of its matrices, and none of its sensors, may be in other coordinates, see `modal_changes`.
+    """
     clock = clock_ratio(effects)
     hz, size, n = clock * band.fine_hz, system.mass.shape[0], force.size
     omega, sensors, c = 2.0 * np.pi * hz, system.sensors(context.sensors), len(context.channels)
@@ -85,6 +131,8 @@ def system_slopes(
     adjoint = answer.conj().swapaxes(1, 2) * force_colour(effects, hz)[:, None, None]
     driven = force_matrix(system, effects, force, len(modes)) @ adjoint
     right = response[:, :, c:] @ driven[:, : len(forced)]
+    if basis is not None:
+        left, right = left @ basis, basis.T @ right
     everything = np.concatenate([left, np.broadcast_to(through, (hz.size, c, c)), answer], axis=2)
     acting = np.concatenate([right, 0.5 * adjoint], axis=1)
     start, at, of_matrices = _entries(changes, size, c)

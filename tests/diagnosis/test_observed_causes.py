@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from monitor.diagnosis.observed_causes import add_observed_causes
+from monitor.inference import CorrectedPosterior, DrivenPosterior
 from monitor.model import Condition
 from tests.support.vibration import CONFIG, RATE_HZ, segments, vibration
 
@@ -27,9 +28,10 @@ class Found:
 
 def found(piled: list[bool], *, ground: bool = True, known: tuple[Any, ...] = ()) -> Any:
     peak, condition = np.array([4.0, 5.0, 6.0]), Condition(ONES, ONES, ONES, ONES)
+    kind: Any = DrivenPosterior if ground else CorrectedPosterior
     return Found(
-        SimpleNamespace(
-            observed=SimpleNamespace(drive=object() if ground else None),
+        kind(
+            observed=None,
             context=CONFIG.instrumented().context(RATE_HZ),
             conditions=[Condition(ONES, ONES, ONES, ONES, condition.excess_degc, peak, np.array(piled))],
             prior=SimpleNamespace(model=SimpleNamespace(effects=known)),

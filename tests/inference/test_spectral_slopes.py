@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from monitor.inference import Posterior, with_coordinates
 from monitor.inference.ambient_posterior import _slope
 from monitor.inference.spectral_slopes import joint_directions, whitening_roots
+from monitor.inference.system_slopes import modal_changes
 from monitor.inference.wishart import grown_by
-from monitor.model import Effect, parse_effect
+from monitor.model import Effect, System, parse_effect
 from tests.support.turning_frame import TORSION, posterior
 
 COUPLED = parse_effect(
@@ -61,6 +63,40 @@ def test_slopes_are_those_of_finite_differences(at: Posterior, effects: tuple[Ef
         # The slopes by noise leave out the gain of the lowpass, which is one but for the band's end.
         is_noise = i == at.layout.noise or i in range(x.size)[at.layout.channel_noise]
         assert np.abs(slopes[i, middle] - expected).max() < (2e-2 if is_noise else 5e-3) * np.abs(expected).max(), i
+
+
+@pytest.mark.parametrize("effects", [(), (*TORSION, EFFECTS[6], EFFECTS[8])], ids=["none", "of sensors and forces"])
+def test_slopes_of_a_linear_structure_are_exact(at: Posterior, effects: tuple[Effect, ...]) -> None:
+    basis = np.stack([np.diag([1.0, 2.0, 3.0]), np.ones((3, 3))])
+    mean, ends = at.prior.mean, np.cumsum([0, *at.prior.sizes])
+    at = replace(
+        at,
+        prior=replace(
+            at.prior,
+            basis=basis,
+            mean=np.insert(mean, ends[4], [30.0, -20.0]),
+            precision=np.eye(mean.size + 2),
+        ),
+    )
+    x = point(at, effects)
+    x[at.layout.masses] += [0.1, -0.2, 0.3]
+    turn, exact = at._exact_changes(x, at.effects(x, effects))
+    layout, i = at.layout, range(x.size)
+    assert set(exact) == {*i[layout.stiffness], *i[layout.masses], *i[layout.damping], *i[layout.correction]}
+    for j, change in exact.items():
+        step = 1e-5 * np.eye(x.size)[j] * max(abs(x[j]), 1.0)
+        above, below = (at.system(x + d, at.effects(x + d, effects)) for d in (step, -step))
+        for name, own in zip(("mass", "damping", "stiffness"), change, strict=True):
+            expected = (getattr(above, name) - getattr(below, name)) / (2.0 * step[j])
+            np.testing.assert_allclose(
+                turn @ own @ turn.T, expected, rtol=0.0, atol=1e-6 * np.abs(getattr(above, name)).max()
+            )
+
+
+def test_where_two_modes_have_one_frequency_or_an_effect_changes_the_structure_no_slope_is_exact(at: Posterior) -> None:
+    one = System(np.eye(2), 0.02 * np.eye(2), np.eye(2))
+    assert modal_changes(one, np.full(2, 0.01), np.zeros((1, 2, 2)), np.ones((1, 2, 2))) is None
+    assert at._exact_changes(point(at, EFFECTS), at.effects(point(at, EFFECTS), EFFECTS)) == (None, {})
 
 
 def test_information_and_products_are_those_of_the_whitened_rows(at: Posterior) -> None:
