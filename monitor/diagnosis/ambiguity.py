@@ -7,7 +7,6 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array
-from monitor.diagnosis.score_test import whitened_change
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior
 
@@ -42,7 +41,5 @@ def _log_odds(ordered: list[RefittedCandidate]) -> Annotated[Array, "n"]:
 
 def predict_the_same(posterior: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
     """Decide if the data cannot tell the spectra that two fits predict apart, so that no further effect can either."""
-    change = whitened_change(
-        posterior, posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects)
-    )
+    change = posterior.whitened_change(posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects))
     return bool(0.5 * float(change @ change) < _SAME_PREDICTION_NATS)

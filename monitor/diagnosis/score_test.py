@@ -10,6 +10,7 @@ from itertools import chain
 from typing import Annotated
 
 import numpy as np
+from scipy.stats import chi2
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import first_guess, fit_exact_slopes
@@ -28,9 +29,8 @@ from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, i
 
 _log = logging.getLogger(__name__)
 
-_MIN_LOG_PRIOR = -20.0
-"""Log prior below which the model without the effect lies so far from its prior that a fit starts better from the
-prior. [nats; judgement]"""
+_CHANCE = 1e-3
+"""Chance with which a structure lies as far from its prior as a fit that counts as far from it. [probability; judgement]"""
 _ROUGH_FIT_NATS = 3.0
 """Gain that a rough fit may miss. [nats; judgement]"""
 _HELD_STRUCTURE_PRECISION = 1e8
@@ -232,7 +232,7 @@ def _expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: lis
             out = [(whole, effect)]
             if not effect.proportional:
                 return out
-            v = whitened_change(posterior, prediction, moved)
+            v = posterior.whitened_change(prediction, moved)
         along = tangent.along(v)
         information = float(v @ v - along @ normal @ along)
         score = float(v @ residual - along @ normal @ nuisance_slope)
@@ -266,7 +266,7 @@ def whitened_slope(
     slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"
     return np.asarray(
-        whitened_change(posterior, prediction, posterior.predict(null_fit.x, (*null_fit.effects, slight)))
+        posterior.whitened_change(prediction, posterior.predict(null_fit.x, (*null_fit.effects, slight)))
         / _RELATIVE_DIFFERENCE
     )
 
@@ -280,7 +280,7 @@ def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
         return False
     at, n_held = posterior.prior.mean.copy(), _n_held(posterior)
     at[:n_held] = null_fit.x[:n_held]
-    return posterior.prior.log_density(at) < _MIN_LOG_PRIOR
+    return posterior.prior.log_density(at) < -0.5 * float(chi2.isf(_CHANCE, n_held))
 
 
 def _n_held(posterior: Posterior) -> int:
@@ -324,15 +324,6 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
         best = max(range(len(fits)), key=lambda i: fits[i].log_posterior)
         fits[best] = maximize_posterior(posterior, fits[best].x, fits[best].effects, iterations=FAR)
     return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
-
-
-def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Annotated[Array, "rows"]:
-    """Compute the change from one prediction to another, whitened by the spectra of the first."""
-    change, _ = posterior.whitened(reference.spectra, (changed.spectra - reference.spectra)[None], reference.data)
-    if reference.left is None or changed.left is None:
-        return change[:, 0]
-    mean, _ = posterior.mean_rows(reference, (reference.left - changed.left)[None])
-    return np.concatenate([change, mean])[:, 0]
 
 
 def _scale_amplitude(effect: Effect, amount: float) -> Effect | None:

@@ -37,8 +37,9 @@ LEVEL_STD = 5.0
 _NOISE_STD = 3.0
 """Prior standard deviation of the logarithm of the noise density that the channels share. [1; judgement: a factor
 of 20]"""
-MAX_EXCITATION_STEP = 2.0
-"""Longest step of a fit in the logarithm of a force, a level or the noise. [1; judgement: a factor of 7]"""
+MAX_LOG_STEP = 2.0
+"""Longest step of a fit in a logarithm that is not a stiffness' or a mass', and in the units of a persistent effect. [1; judgement:
+a factor of 7]"""
 NUDGE = 1e-5
 """Finite difference of a nuisance parameter, most of which are logarithms. [1; rounding]"""
 
@@ -197,6 +198,14 @@ class Posterior(ForwardModel):
         data = self.data() if data is None else data
         root = self.root_information()
         return whiten(spectra, slopes, root), whiten(spectra, (data - spectra)[None], root)[:, 0]
+
+    def whitened_change(self, reference: Prediction, changed: Prediction) -> Annotated[Array, "rows"]:
+        """Compute the change from one prediction to another, whitened by the spectra of the first."""
+        change, _ = self.whitened(reference.spectra, (changed.spectra - reference.spectra)[None], reference.data)
+        if reference.left is None or changed.left is None:
+            return change[:, 0]
+        mean, _ = self.mean_rows(reference, (reference.left - changed.left)[None])
+        return np.concatenate([change, mean])[:, 0]
 
     def root_information(self) -> Annotated[Array, "classes bins"]:
         """Compute the root of the information in each class and (coarse) bin."""
