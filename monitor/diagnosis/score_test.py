@@ -311,7 +311,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 
 
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> Ranked:
-    """Fit effects with the structure at its prior mean, then roughly with it free, the best to the end; return gains, nats."""
+    """Fit effects with the structure at its prior mean, then roughly with it free; return gains, nats."""
 
     def fitted(effect: Effect) -> MapEstimate:
         near = _fit_at_prior(posterior, null_fit, effect)[1]
@@ -320,9 +320,6 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
         )
 
     fits = parallel_map(fitted, effects)
-    if fits:
-        best = max(range(len(fits)), key=lambda i: fits[i].log_posterior)
-        fits[best] = maximize_posterior(posterior, fits[best].x, fits[best].effects, iterations=FAR)
     return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
 
 

@@ -21,7 +21,7 @@ _MAX_STRUCTURE_STEP = 0.1
 _BENDING_SHARE = 0.1
 """Share of a step over which the spectra's second derivative is taken. [ratio; Transtrum and Sethna 2012]"""
 _FIXED_SLOPES_GAIN = 1.0
-"""Gain of a step below which the slopes are not computed again. [nats; judgement]"""
+"""Gain of a step below which the slopes are not computed again, and the step is not bent. [nats; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -133,8 +133,9 @@ def _maximize(
 
     def move(at: _Point, last: _Slopes, step: Array, solve: Callable[[Array], Array]) -> _Point:
         steps = shortened_steps(posterior, step, at.effects)
-        bent = steps if frozen is not None else [tried(partial(_bent, posterior, at, last, s, solve), s) for s in steps]
-        return max((evaluate(at, s) for s in bent), key=lambda point: point.value)
+        if frozen is None and last.gradient @ step > _FIXED_SLOPES_GAIN:
+            steps = tuple(tried(partial(_bent, posterior, at, last, s, solve), s) for s in steps)
+        return max((evaluate(at, s) for s in steps), key=lambda point: point.value)
 
     search = levenberg_marquardt(
         start,
