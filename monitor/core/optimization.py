@@ -74,7 +74,8 @@ def levenberg_marquardt(
 
     `linearize` linearizes the objective at a point; its second argument is the linearization before, whose slopes may serve once
     more where a step gained up to `fixed_slopes_gain` (nats), or None.  `move` evaluates the point that lies a step away from
-    another; it may shorten or bend the step, for which it is given the linearization and the solution of its damped equations.  The search has converged where a step gains less than the tolerance, nats.
+    another; it may shorten or bend the step, for which it is given the linearization and the solution of its damped equations.
+    The search has converged where a step gains less than the tolerance, nats.
 
     References
     ----------

@@ -55,18 +55,77 @@ definition: the damping is known to a factor of e then]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class SearchState:
-    """State of the search between two rounds."""
+class Search:
+    """Search for causes between two steps."""
 
+    settings: DiagnosisSettings
     posterior: Posterior
     fit: MapEstimate
     null_fit: MapEstimate
     """The model form without causes, fitted."""
-    accepted: tuple[Candidate, ...]
     moments: Moments
     """Moments that the accepted laws add to those of a normal process."""
     margin: float
     """Log evidence that a further cause needs, nats."""
+    accepted: tuple[Candidate, ...] = ()
+    rounds: tuple[tuple[Candidate, ...], ...] = ()
+    """For every accepted cause the candidates among which it was accepted, then those of the last step."""
+    other_optima: tuple[MapEstimate, ...] = ()
+    """Fits of other stiffnesses that the data cannot tell from the one returned."""
+    alternatives: Alternatives = ()
+    from_elsewhere: bool = False
+    """Whether the forces act in another direction than at calibration, so that no cause would be stated."""
+    has_ended: bool = False
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no further cause is sought."""
+        return self.n_counted >= self.settings.max_causes
+
+    @property
+    def n_counted(self) -> int:
+        """Number of the accepted causes that the search is limited to.
+
+        Modes that the model lacks may be many.  So may sensors' faults where an input was measured, which separates them from all
+        else; without one, several of them imitate crosstalk.
+        """
+        apart = plan_of(self.posterior).separates_kinds
+        return sum(not (c.effect.repeatable or (apart and c.effect.family == "sensor")) for c in self.accepted)
+
+    def threshold(self) -> float:
+        """Compute the log evidence that the next cause needs, nats."""
+        if not plan_of(self.posterior).judges_by_bands:
+            return self.margin
+        cost = lack_of_fit_cost(self.posterior, find_lack_of_fit(self.posterior, self.fit, self.settings))
+        return max(self.margin, self.settings.share * cost)
+
+    def at(self, fit: MapEstimate) -> Search:
+        """Go on from another fit, with nonlinear laws linearized at its motion."""
+        return replace(self, posterior=update_linearization(self.posterior, fit), fit=fit)
+
+    def among(self, candidates: Sequence[RefittedCandidate], *, again: bool = False) -> Search:
+        """Add the candidates of a round; `again`, in place of the last round."""
+        shown = tuple(p.candidate.without_slopes() for p in candidates)
+        return replace(self, rounds=(*(self.rounds[:-1] if again else self.rounds), shown))
+
+    def step(self) -> Search:
+        """Propose causes, judge them and accept the best; the search ends where there is none, or where rivals are tied."""
+        search, causes = _propose(self)
+        if not causes:
+            return replace(search, has_ended=True)
+        tied = tied_candidates(causes, self.settings.rival)
+        directed = not any(is_independent_of_direction(p.candidate.effect) for p in tied)
+        if directed and shows_other_direction(search):
+            return replace(search, from_elsewhere=True, has_ended=True)
+        if lacks_modes(search.posterior, search.fit):
+            tied = _prefer_mode(search, tied)
+        if len(tied) > 1:
+            tied = _look_ahead(tied, self.settings)
+        if len(tied) > 1:
+            beside = _accept_beside_tie(search, tied[0])
+            return _end_in_tie(search, tied) if beside is None else beside  # the tie comes up again in the last round
+        search = _accept(search, tied[0])
+        return _add_missing_modes(search) if any(e.repeatable for e in search.fit.effects) else search
 
 
 def diagnose(
@@ -84,48 +143,18 @@ def diagnose(
     `wider` prior too, with persistent effects of the forces, see `_begin`.
     """
     on_progress(Step("fits the model without causes", then="looks for causes"))
-    stage, rounds, optima = _begin(observed, prior, context, settings, wider)
-    alternatives: Alternatives = ()
-    from_elsewhere = False
-    while _n_counted(stage) < settings.max_causes:
-        on_progress(Step(f"looks for cause {len(stage.accepted) + 1}", then="tests each cause beside the others"))
-        stage, candidates, threshold = _search_once(stage, settings)
-        rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
-        candidates = sufficient_candidates(stage, candidates, threshold)
-        if not candidates:
-            stage, candidates = prefer_cause_to_coupling(stage, settings)
-            if not candidates:
-                break
-            rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
-        tied = tied_candidates(candidates, settings.rival)
-        directed = not any(is_independent_of_direction(p.candidate.effect) for p in tied)
-        if directed and shows_other_direction(stage, settings):
-            from_elsewhere = True  # no cause would be stated
-            break
-        if lacks_modes(stage.posterior, stage.fit):
-            tied = _prefer_mode(stage, tied, settings)
-        if len(tied) > 1:
-            tied = _look_ahead(tied, settings)
-        beside = _accept_beside_tie(stage, tied[0], settings) if len(tied) > 1 else None
-        if beside is not None:  # the tie comes up again in the last round
-            stage, candidates = beside
-            rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
-            continue
-        if len(tied) > 1:
-            alternatives = tuple(zip((p.candidate for p in tied), probabilities(tied).tolist(), strict=True))
-            stage = replace(stage, posterior=tied[0].posterior, fit=tied[0].candidate.fit)
-            break
-        stage = _accept(stage, tied[0], settings)
-        if any(effect.repeatable for effect in stage.fit.effects):
-            stage, at_peaks = _add_missing_modes(stage, settings)
-            rounds += at_peaks
+    search = _begin(observed, prior, context, settings, wider)
+    while not (search.has_ended or search.is_full):
+        on_progress(Step(f"looks for cause {len(search.accepted) + 1}", then="tests each cause beside the others"))
+        search = search.step()
     on_progress(Step("tests each cause beside the others"))
+    rounds = search.rounds
     posterior, fit, accepted = eliminate_backward(
-        stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
+        search.posterior, search.fit, search.accepted, rounds, settings.margin, settings.rival
     )
     causes = refine(posterior, fit, len(accepted))
-    found = judge(causes, stage.null_fit, alternatives, settings, from_elsewhere=from_elsewhere)
-    return replace(found, candidates=rounds[0] if rounds else (), rounds=tuple(rounds), other_optima=optima)
+    found = judge(causes, search.null_fit, search.alternatives, settings, from_elsewhere=search.from_elsewhere)
+    return replace(found, candidates=rounds[0] if rounds else (), rounds=rounds, other_optima=search.other_optima)
 
 
 def _begin(
@@ -134,48 +163,46 @@ def _begin(
     context: Context,
     settings: DiagnosisSettings,
     wider: StructuralPrior | None,
-) -> tuple[SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
+) -> Search:
     """Fit the model without causes, then the modes that it lacks.
 
     The wider prior takes the place of `prior` where it explains more of the misfit than it leaves, beyond what its parameters
-    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.  Return what
-    `start_from_modes` returns.
+    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.
     """
     first = _first_stage(observed, prior, context, settings)
     if first is None:
         raise BadInputError(
             "no structure near the structure file's can be fitted to the spectra: look at units and channels with 'look'"
         )
-    begun = start_from_modes(first, settings)
-    stage = begun[0]
-    if wider is None or not find_lack_of_fit(stage.posterior, stage.fit, settings):
+    begun = start_from_modes(first)
+    if wider is None or not find_lack_of_fit(begun.posterior, begun.fit, settings):
         return begun
     shaped = _first_stage(observed, wider, context, settings)
     if shaped is None:
         return begun
     cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
-    gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit)
+    gain = shaped.fit.log_posterior - cost - log_evidence(begun.posterior, begun.fit)
     left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
     least = max(left, settings.margin)
     if gain > least:  # otherwise the forces' fits decide nothing
-        gain -= _gain_by_forces(stage)
-    return start_from_modes(shaped, settings) if gain > least else begun
+        gain -= _gain_by_forces(begun)
+    return start_from_modes(shaped) if gain > least else begun
 
 
 def _first_stage(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
-) -> SearchState | None:
+) -> Search | None:
     """Fit the model without causes; None where no structure near the prior's can be fitted."""
     begun = tried(lambda: fit_initial_model(observed, prior, context), None)
     if begun is None or not begun[1].is_possible:
         return None
     posterior, fit, moments = begun
-    return SearchState(posterior, fit, fit, (), moments, settings.margin)
+    return Search(settings, posterior, fit, fit, moments, settings.margin)
 
 
-def _gain_by_forces(stage: SearchState) -> float:
+def _gain_by_forces(search: Search) -> float:
     """Fit the effects of the forces; return the log evidence of the best of them, or zero."""
-    posterior, fit = stage.posterior, stage.fit
+    posterior, fit = search.posterior, search.fit
     starts = [e for e in candidate_starts(posterior, fit) if e.family == "excitation" and not e.repeatable]
     fits = parallel_map(
         lambda effect: fit_candidate(posterior, fit, effect).log_evidence, best_of_each_kind(posterior, fit, starts)
@@ -183,93 +210,96 @@ def _gain_by_forces(stage: SearchState) -> float:
     return max([0.0, *filter(np.isfinite, fits)])
 
 
-def _search_once(stage: SearchState, settings: DiagnosisSettings) -> tuple[SearchState, list[RefittedCandidate], float]:
+def _propose(search: Search) -> tuple[Search, list[RefittedCandidate]]:
+    """Find the further causes, best first, whose log evidence suffices; return the state with the round's candidates too."""
+    search, candidates, threshold = _search_once(search)
+    causes = sufficient_candidates(search, candidates, threshold)
+    if not causes:
+        search, causes = prefer_cause_to_coupling(search)
+    return search.among(causes if causes and causes[0] not in candidates else candidates), causes
+
+
+def _search_once(search: Search) -> tuple[Search, list[RefittedCandidate], float]:
     """Run one round of the search, and once more where it came upon a better fit without a further cause.
 
     Return the state, refitted where a better fit was found, further causes, best first, and the log evidence that the next cause
     needs, nats.
     """
-    threshold = _acceptance_threshold(stage, settings)
-    min_gain = settings.worth * threshold / settings.margin
-    candidates = run_selection_round(stage.posterior, stage.fit, stage.moments, settings, min_gain)
-    better = find_better_null_fit(stage.posterior, stage.fit, candidates) or _refit_ground_interpolation(
-        stage, candidates, min_gain
+    threshold = search.threshold()
+    min_gain = search.settings.worth * threshold / search.settings.margin
+    candidates = run_selection_round(search.posterior, search.fit, search.moments, search.settings, min_gain)
+    better = find_better_null_fit(search.posterior, search.fit, candidates) or _refit_ground_interpolation(
+        search, candidates, min_gain
     )
     if better is None:
-        return stage, candidates, threshold
+        return search, candidates, threshold
     posterior, fit = better
-    stage = replace(stage, posterior=posterior, fit=fit, null_fit=stage.null_fit if stage.accepted else fit)
-    candidates = run_selection_round(posterior, fit, stage.moments, settings, min_gain)
-    return stage, candidates, _acceptance_threshold(stage, settings)
+    search = replace(search, posterior=posterior, fit=fit, null_fit=search.null_fit if search.accepted else fit)
+    candidates = run_selection_round(posterior, fit, search.moments, search.settings, min_gain)
+    return search, candidates, search.threshold()
 
 
 def sufficient_candidates(
-    stage: SearchState, candidates: Sequence[RefittedCandidate], threshold: float
+    search: Search, candidates: Sequence[RefittedCandidate], threshold: float
 ) -> list[RefittedCandidate]:
     """Return the candidates, best first, whose log evidence suffices to accept them."""
-    at, fit = stage.posterior, stage.fit
+    at, fit = search.posterior, search.fit
     return [
         p for p in candidates if is_beyond_weak_modes(at, fit, p.candidate.effect, p.candidate.log_evidence, threshold)
     ]
 
 
-def prefer_cause_to_coupling(
-    stage: SearchState, settings: DiagnosisSettings
-) -> tuple[SearchState, list[RefittedCandidate]]:
+def prefer_cause_to_coupling(search: Search) -> tuple[Search, list[RefittedCandidate]]:
     """Find a cause that explains more, beside modes that are not coupled, than the coupling of these modes explains.
 
     A mode that is coupled to the floors moves their frequencies, so that couplings may stand in for a cause in the structure.
     Return the state with the modes uncoupled, and the causes, best first; the state as it was, and no cause, where there is none.
     """
-    posterior, fit = stage.posterior, stage.fit
+    posterior, fit = search.posterior, search.fit
     if not posterior.prior.is_baseline:  # modes that are coupled and modes that are not are both followed to their ends
-        return stage, []
-    apart = uncouple_modes(posterior, fit, stage.null_fit.x[posterior.layout.nuisances])
+        return search, []
+    apart = uncouple_modes(posterior, fit, search.null_fit.x[posterior.layout.nuisances])
     if apart is None:
-        return stage, []
-    before = replace(stage, posterior=update_linearization(posterior, apart), fit=apart)
-    before, candidates, threshold = _search_once(before, settings)
+        return search, []
+    before, candidates, threshold = _search_once(search.at(apart))
     causes = [p for p in sufficient_candidates(before, candidates, threshold) if not p.candidate.effect.repeatable]
     if not causes:
-        return stage, []
+        return search, []
     best = causes[0].candidate
     gain = log_evidence(before.posterior, before.fit) + best.log_evidence - log_evidence(posterior, fit)
-    return (before, causes) if gain >= stage.margin else (stage, [])
+    return (before, causes) if gain >= search.margin else (search, [])
 
 
-def start_from_modes(
-    stage: SearchState, settings: DiagnosisSettings
-) -> tuple[SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
+def start_from_modes(search: Search) -> Search:
     """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
 
     A drawing may be so far off that a fit from it ends in a false optimum, and may lack modes that the recording has.  A baseline
-    is neither.  Return the state with the modes that the model lacks as accepted causes, for every such mode the candidates among
-    which it was accepted, and fits of other stiffnesses that the data cannot tell from the one returned.
+    is neither.  The modes that the model lacks are accepted causes.
     """
-    posterior, null_fit = stage.posterior, stage.fit
-    if not _may_be_far_off(posterior) or not find_lack_of_fit(posterior, null_fit, settings):
-        return stage, [], ()
+    posterior, null_fit = search.posterior, search.fit
+    if not _may_be_far_off(posterior) or not find_lack_of_fit(posterior, null_fit, search.settings):
+        return search
     found = fit_from_modes(posterior)
-    if not found or found[0][1] < null_fit.log_posterior + settings.margin:
-        return stage, [], ()
+    if not found or found[0][1] < null_fit.log_posterior + search.settings.margin:
+        return search
     best, evidence = found[0]
     if not best.effects:
-        stage = replace(stage, posterior=update_linearization(posterior, best), fit=best, null_fit=best)
-        return stage, [], tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
+        others = tuple(fit for fit, own in found[1:] if own > evidence - search.settings.rival)
+        return replace(search.at(best), null_fit=best, other_optima=others)
     # Coupled before all are found, some modes take the others' part, and the structure follows; a mode that only the floors
     # drive is seen by its coupling alone.
     starts = [start for start in (best, couple_modes(posterior, best)) if start is not None]
-    if _explained_by_one(stage, max(log_evidence(posterior, start) for start in starts), settings):
-        return stage, [], ()
-    ends = [_follow(stage, start, settings) for start in starts]
-    evidences = [log_evidence(end.posterior, end.fit) for end, _ in ends]
-    first = int(np.argmax(evidences))
+    if _explained_by_one(search, max(log_evidence(posterior, start) for start in starts)):
+        return search
+    ends = [_follow(search, start) for start in starts]
+    evidences = [log_evidence(end.posterior, end.fit) for end in ends]
+    first = ends[int(np.argmax(evidences))]
     others = tuple(
         end.fit
-        for (end, _), own in zip(ends, evidences, strict=True)
-        if own > evidences[first] - settings.rival and not has_same_structure(posterior, end.fit, ends[first][0].fit)
+        for end, own in zip(ends, evidences, strict=True)
+        if own > max(evidences) - search.settings.rival and not has_same_structure(posterior, end.fit, first.fit)
     )
-    return *ends[first], others
+    return replace(first, other_optima=others)
 
 
 def _may_be_far_off(posterior: Posterior) -> bool:
@@ -279,96 +309,68 @@ def _may_be_far_off(posterior: Posterior) -> bool:
     return not (plan_of(posterior).separates_kinds or posterior.prior.is_baseline or is_changed)
 
 
-def _follow(
-    stage: SearchState, start: MapEstimate, settings: DiagnosisSettings
-) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
-    """Remove the modes of a start that others made superfluous, and add those still missing; results as of `start_from_modes`."""
-    posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
+def _follow(search: Search, start: MapEstimate) -> Search:
+    """Remove the modes of a start that others made superfluous, and add those still missing."""
+    posterior, gain = search.posterior, start.log_posterior - search.fit.log_posterior
     costs = (evidence_cost(posterior, start, i) for i in range(len(start.effects)))
     accepted = tuple(Candidate(e, start, gain, gain - cost) for e, cost in zip(start.effects, costs, strict=True))
     posterior = update_linearization(posterior, start)
     posterior, fit, accepted = eliminate_backward(
-        posterior, start, accepted, [(c,) for c in accepted], settings.margin, settings.rival
+        posterior, start, accepted, [(c,) for c in accepted], search.settings.margin, search.settings.rival
     )
-    stage = replace(stage, posterior=posterior, fit=fit, accepted=accepted)
-    if not accepted:
-        return stage, []
-    stage, at_peaks = _add_missing_modes(stage, settings)  # where one mode is missing, others are
-    return stage, [(c,) for c in accepted] + at_peaks
+    rounds = tuple((c,) for c in accepted)
+    search = replace(search, posterior=posterior, fit=fit, accepted=accepted, rounds=rounds)
+    return _add_missing_modes(search) if accepted else search  # where one mode is missing, others are
 
 
-def _explained_by_one(stage: SearchState, evidence: float, settings: DiagnosisSettings) -> bool:
+def _explained_by_one(search: Search, evidence: float) -> bool:
     """Decide if one other cause explains a recording as well as several modes that the model lacks, of log evidence `evidence`.
 
     A law that depends on the level distorts the peaks of the model, and modes beside them imitate the distortion.
     """
-    refitted, candidates, _ = _search_once(stage, settings)
+    refitted, candidates, _ = _search_once(search)
     if not candidates or candidates[0].candidate.effect.repeatable:
         return False
-    return refitted.fit.log_posterior + candidates[0].candidate.log_evidence > evidence - settings.margin
+    return refitted.fit.log_posterior + candidates[0].candidate.log_evidence > evidence - search.settings.margin
 
 
-def _prefer_mode(
-    stage: SearchState, tied: list[RefittedCandidate], settings: DiagnosisSettings
-) -> list[RefittedCandidate]:
+def _prefer_mode(search: Search, tied: list[RefittedCandidate]) -> list[RefittedCandidate]:
     """Return the mode, where the model lacks modes already and one more ties with the best causes; else these."""
     modes = [p for p in tied if p.candidate.effect.repeatable]
     if not modes and tied[0].candidate.effect.is_narrow:
-        found = find_missing_mode(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
-        modes = [RefittedCandidate(c, stage.posterior, stage.moments) for c in found[:1]]
+        found = find_missing_mode(search.posterior, search.fit, search.settings, search.threshold())
+        modes = [RefittedCandidate(c, search.posterior, search.moments) for c in found[:1]]
     return modes[:1] or tied
 
 
-def _n_counted(stage: SearchState) -> int:
-    """Count the accepted causes that the search is limited to.
-
-    Modes that the model lacks may be many.  So may sensors' faults where an input was measured, which separates them
-    from all else; without one, several of them imitate crosstalk.
-    """
-    apart = plan_of(stage.posterior).separates_kinds
-    return sum(not (c.effect.repeatable or (apart and c.effect.family == "sensor")) for c in stage.accepted)
-
-
-def _add_missing_modes(
-    stage: SearchState, settings: DiagnosisSettings
-) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
-    """Add modes that the model lacks until the highest peak left has another cause or none; return candidates for each too."""
-    rounds: list[tuple[Candidate, ...]] = []
+def _add_missing_modes(search: Search) -> Search:
+    """Add modes that the model lacks until the highest peak left has another cause or none."""
     while True:
-        found = find_missing_modes(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
+        found = find_missing_modes(search.posterior, search.fit, search.settings, search.threshold())
         if found:
-            rounds += [tuple(c.without_slopes() for c in at_peak) for at_peak in found]
             *others, last = (at_peak[0] for at_peak in found)
-            stage = replace(stage, accepted=(*stage.accepted, *others))
-            stage = _accept(stage, RefittedCandidate(last, stage.posterior, stage.moments), settings)
+            shown = tuple(tuple(c.without_slopes() for c in at_peak) for at_peak in found)
+            search = replace(search, accepted=(*search.accepted, *others), rounds=(*search.rounds, *shown))
+            search = _accept(search, RefittedCandidate(last, search.posterior, search.moments))
             continue
         # Coupled while others are missing, modes would take the others' part, and the structure would follow.
         coupled = None
-        if find_lack_of_fit(stage.posterior, stage.fit, settings):
-            coupled = couple_modes(stage.posterior, stage.fit)
+        if find_lack_of_fit(search.posterior, search.fit, search.settings):
+            coupled = couple_modes(search.posterior, search.fit)
         if coupled is None:
-            return stage, rounds
-        stage = replace(stage, posterior=update_linearization(stage.posterior, coupled), fit=coupled)
-
-
-def _acceptance_threshold(stage: SearchState, settings: DiagnosisSettings) -> float:
-    """Compute the log evidence that the next cause needs, nats."""
-    posterior = stage.posterior
-    if not plan_of(posterior).judges_by_bands:
-        return stage.margin
-    cost = lack_of_fit_cost(posterior, find_lack_of_fit(posterior, stage.fit, settings))
-    return max(stage.margin, settings.share * cost)
+            return search
+        search = search.at(coupled)
 
 
 def _refit_ground_interpolation(
-    stage: SearchState, candidates: list[RefittedCandidate], min_gain: float
+    search: Search, candidates: list[RefittedCandidate], min_gain: float
 ) -> tuple[Posterior, MapEstimate] | None:
     """Refit with the interpolation of the ground motion that the best candidates prefer; return None where it is the present one.
 
     Without the cause another interpolation may have compensated for the cause, and with that interpolation a cause with more
     parameters may look better.
     """
-    interpolations = {p.between: p for p in stage.posterior.other_interpolations()}
+    interpolations = {p.between: p for p in search.posterior.other_interpolations()}
     if not interpolations or not candidates or candidates[0].candidate.log_evidence < min_gain:
         return None
     scored = []
@@ -376,23 +378,23 @@ def _refit_ground_interpolation(
         before = p.candidate.fit
         posterior, fit = fit_ground_interpolation(p.posterior, before)
         scored.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.between))
-    posterior = interpolations.get(max(scored, key=lambda pair: pair[0])[1], stage.posterior)
-    if posterior is stage.posterior:
+    posterior = interpolations.get(max(scored, key=lambda pair: pair[0])[1], search.posterior)
+    if posterior is search.posterior:
         return None
-    found = maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
+    found = maximize_posterior(posterior, search.fit.x, search.fit.effects, iterations=FAR)
     return (posterior, found) if found.is_possible else None
 
 
-def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSettings) -> SearchState:
+def _accept(search: Search, best: RefittedCandidate) -> Search:
     """Accept a cause: refit all parameters beside it, and update the evidence that a further cause needs."""
-    accepted, margin = (*stage.accepted, best.candidate), stage.margin
+    accepted, margin = (*search.accepted, best.candidate), search.margin
     as_found = best.posterior, best.candidate.fit, best.moments
     refitted = tried(lambda: _refit_accepted(best, n_accepted=len(accepted)), as_found)
     posterior, fit, added = refitted if refitted[1].is_possible else as_found
     if best.candidate.effect.nonlinear:
-        error = settings.aftermath * best.candidate.delta_log_posterior
-        margin = max(margin, error, settings.margin + DIFFERS_STDS * best.log_evidence_std)
-    return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
+        error = search.settings.aftermath * best.candidate.delta_log_posterior
+        margin = max(margin, error, search.settings.margin + DIFFERS_STDS * best.log_evidence_std)
+    return replace(search, posterior=posterior, fit=fit, accepted=accepted, moments=added, margin=margin)
 
 
 def _refit_accepted(best: RefittedCandidate, n_accepted: int) -> tuple[Posterior, MapEstimate, Moments]:
@@ -410,33 +412,39 @@ def _refit_accepted(best: RefittedCandidate, n_accepted: int) -> tuple[Posterior
     return posterior, fit, best.moments
 
 
-def _accept_beside_tie(
-    stage: SearchState, tied: RefittedCandidate, settings: DiagnosisSettings
-) -> tuple[SearchState, list[RefittedCandidate]] | None:
+def _accept_beside_tie(search: Search, tied: RefittedCandidate) -> Search | None:
     """Search, while rivals are tied, for a cause that is there whichever rival is the true cause.
 
-    The state given is that before any of the rivals, `tied` the best of them.  Return the state with the further cause, and the
-    candidates among which it was found; None where there is no such cause, or where it is itself tied.
+    The search given is that before any of the rivals, `tied` the best of them.  Return the search with the further cause; None
+    where there is no such cause, or where it is itself tied.
     """
-    if _n_counted(stage) + 2 > settings.max_causes:
+    if search.n_counted + 2 > search.settings.max_causes:
         return None
-    extended = _accept(stage, tied, settings)
-    refitted, candidates, threshold = _search_once(extended, settings)
+    extended = _accept(search, tied)
+    refitted, candidates, threshold = _search_once(extended)
     candidates = sufficient_candidates(refitted, candidates, threshold)
-    if not candidates or len(tied_candidates(candidates, settings.rival)) > 1:
+    if not candidates or len(tied_candidates(candidates, search.settings.rival)) > 1:
         return None
     found = candidates[0].candidate.effect
     if found.nonlinear:  # it must be simulated together with the tied cause
         return None
-    further_cause = fit_candidate(stage.posterior, stage.fit, found)
-    return _accept(stage, RefittedCandidate(further_cause, stage.posterior, stage.moments), settings), candidates
+    further_cause = fit_candidate(search.posterior, search.fit, found)
+    accepted = _accept(search, RefittedCandidate(further_cause, search.posterior, search.moments))
+    return accepted.among(candidates, again=True)
 
 
-def shows_other_direction(stage: SearchState, settings: DiagnosisSettings) -> bool:
+def _end_in_tie(search: Search, tied: list[RefittedCandidate]) -> Search:
+    """End a search with causes that cannot be told apart, at the fit of the most probable one."""
+    alternatives = tuple(zip((p.candidate for p in tied), probabilities(tied).tolist(), strict=True))
+    best = tied[0]
+    return replace(search, posterior=best.posterior, fit=best.candidate.fit, alternatives=alternatives, has_ended=True)
+
+
+def shows_other_direction(search: Search) -> bool:
     """Decide if no cause so far may stand in for another direction of the forces, and they act in another than at calibration."""
-    if not all(is_independent_of_direction(e) for e in stage.fit.effects):
+    if not all(is_independent_of_direction(e) for e in search.fit.effects):
         return False
-    return find_other_direction(stage.posterior, stage.fit, settings) is not None
+    return find_other_direction(search.posterior, search.fit, search.settings) is not None
 
 
 def _look_ahead(tied: list[RefittedCandidate], settings: DiagnosisSettings) -> list[RefittedCandidate]:

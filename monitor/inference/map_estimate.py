@@ -18,6 +18,10 @@ from monitor.model import Effect, inverse
 
 _MAX_STRUCTURE_STEP = 0.1
 """Longest step of the logarithm of a stiffness or a mass, and of the stiffness correction. [1; judgement: ten percent]"""
+_MAX_DAMPING_STEP = 1.0
+"""Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
+_MAX_SIZE_STEP = 0.5
+"""Longest step of the logarithm of a size of an effect. [1; judgement: a factor of 1.6]"""
 _BENDING_SHARE = 0.1
 """Share of a step over which the spectra's second derivative is taken. [ratio; Transtrum and Sethna 2012]"""
 _FIXED_SLOPES_GAIN = 1.0
@@ -122,6 +126,7 @@ def _maximize(
     """As `maximize_posterior`; raises where something cannot be computed, see `tried`."""
     start = _evaluate(posterior, x, effects)
     stays_stable = posterior.is_stable(start.x, effects)
+    has_peaks = any(e.is_narrow for e in effects)  # where a peak must move, what is near it leads it astray
 
     def evaluate(at: _Point, step: Array) -> _Point:
         moved = at.x + step
@@ -133,7 +138,7 @@ def _maximize(
 
     def move(at: _Point, last: _Slopes, step: Array, solve: Callable[[Array], Array]) -> _Point:
         steps = shortened_steps(posterior, step, at.effects)
-        if frozen is None and last.gradient @ step > _FIXED_SLOPES_GAIN:
+        if frozen is None and not has_peaks and last.gradient @ step > _FIXED_SLOPES_GAIN:
             steps = tuple(tried(partial(_bent, posterior, at, last, s, solve), s) for s in steps)
         return max((evaluate(at, s) for s in steps), key=lambda point: point.value)
 
@@ -224,8 +229,7 @@ def _bent(
 ) -> Annotated[Array, "p"]:
     """Bend a step so that it follows the valley of the posterior to second order (geodesic acceleration).
 
-    The spectra's second derivative along the step, by differences, is compensated to first order, unless that is longer than the
-    step itself.
+    The spectra's second derivative along the step, by differences, is compensated, unless the step would bend too much for that.
 
     References
     ----------
@@ -250,9 +254,10 @@ def shortened_steps(posterior: Posterior, step: Array, effects: Sequence[Effect]
     """
     bound, layout = np.full(step.size, np.inf), posterior.layout
     bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = _MAX_STRUCTURE_STEP
-    bound[layout.damping] = bound[layout.channel_noise] = bound[layout.excitation] = MAX_LOG_STEP
+    bound[layout.damping] = bound[layout.channel_noise] = _MAX_DAMPING_STEP
+    bound[layout.excitation] = MAX_LOG_STEP
     bound[layout.persistent] = MAX_LOG_STEP * posterior.prior.units[layout.persistent]
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
-    bound[layout.effects] = np.where(logarithms, MAX_LOG_STEP, np.inf)
+    bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)
     longest = float((np.abs(step) / bound).max())
     return (step,) if longest <= 1.0 else (np.clip(step, -bound, bound), step / longest)

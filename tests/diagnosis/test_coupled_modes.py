@@ -78,8 +78,8 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     for family, lines, ends in kinds:
         cause = SimpleNamespace(family=family, lines=lambda lines=lines: lines)
         fit = SimpleNamespace(x=np.array(forces), effects=(cause,))
-        stage: Any = SimpleNamespace(posterior=at, fit=fit)
-        assert shows_other_direction(stage, DiagnosisSettings()) is ends
+        search: Any = SimpleNamespace(posterior=at, fit=fit, settings=DiagnosisSettings())
+        assert shows_other_direction(search) is ends
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.1, False), (1.0, False), (3.0, False), (10.0, True)])

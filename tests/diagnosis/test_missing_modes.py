@@ -14,7 +14,7 @@ from monitor.diagnosis.initial_fit import FAR, first_guess
 from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes, is_beyond_weak_modes
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.diagnosis.stepwise_selection import SearchState, prefer_cause_to_coupling, sufficient_candidates
+from monitor.diagnosis.stepwise_selection import Search, prefer_cause_to_coupling, sufficient_candidates
 from monitor.inference import join_coordinates, maximize_posterior
 from monitor.model import Effect, StructuralPrior, parse_effect
 from tests.support.turning_frame import CONTEXT, TORSION, posterior
@@ -107,10 +107,10 @@ def test_a_loss_is_preferred_to_couplings_that_explain_less(
     assert coupled is not None
     x = join_coordinates(null_fit.x, (coupled,))
     fit = maximize_posterior(at, x, (coupled,), iterations=FAR)
-    stage = SearchState(at, fit, null_fit, (), moments, settings.margin)
-    apart, causes = prefer_cause_to_coupling(stage, settings)
+    search = Search(settings, at, fit, null_fit, moments, settings.margin)
+    apart, causes = prefer_cause_to_coupling(search)
     if not (lost and is_baseline):
-        assert apart is stage and not causes
+        assert apart is search and not causes
         return
     best = causes[0].candidate
     assert (best.effect.name, best.effect.location) == ("stiffness_change", "story 2")

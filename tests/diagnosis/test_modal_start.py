@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,8 @@ from monitor.diagnosis.lack_of_fit import find_lack_of_fit
 from monitor.diagnosis.missing_modes import couple_modes
 from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference import tone_log_odds
+from monitor.diagnosis.stepwise_selection import Search
+from monitor.inference import normal_moments, tone_log_odds
 from monitor.model import parse_effect
 from tests.support.turning_frame import CONTEXT, TORSION, TRUTH, diagnosed, drawn, posterior, spectra
 
@@ -125,18 +127,19 @@ def test_of_two_ways_to_couple_modes_the_evidence_decides(
     at = posterior(OFF, *TORSION)
     apart, coupled = (SimpleNamespace(effects=TORSION, log_posterior=1e9, x=np.zeros(9)) for _ in range(2))
     coupled.x[1] = moved
-    stage: Any = SimpleNamespace(posterior=at, fit=SimpleNamespace(log_posterior=0.0))
+    before: Any = SimpleNamespace(log_posterior=0.0)
+    search = Search(DiagnosisSettings(), at, before, before, normal_moments(at), 7.0)
     faked = {
         "find_lack_of_fit": lambda *_: ["something"],
         "fit_from_modes": lambda _: ((apart, 1e9),),
         "_explained_by_one": lambda *_: False,
         "couple_modes": lambda *_: coupled,
-        "_follow": lambda _, start, __: (SimpleNamespace(posterior=at, fit=start), [(start,)]),
+        "_follow": lambda search, start: replace(search, fit=start, rounds=((start,),)),
         "log_evidence": lambda _, fit: lead if fit is coupled else 0.0,
     }
     for name, function in faked.items():
         monkeypatch.setattr(stepwise_selection, name, function)
-    found, rounds, others = stepwise_selection.start_from_modes(stage, DiagnosisSettings())
+    found = stepwise_selection.start_from_modes(search)
     best, other = (coupled, apart) if lead > 0.0 else (apart, coupled)
-    assert found.fit is best and rounds == [(best,)]
-    assert others == (other,) * n_others, "another structure that explains as much"
+    assert found.fit is best and found.rounds == ((best,),)
+    assert found.other_optima == (other,) * n_others, "another structure that explains as much"
