@@ -23,7 +23,7 @@ from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectra, Transforms, TransformSlopes
 from monitor.inference.cross_spectra import Band, accelerance, clock_ratio, recorded
 from monitor.model import Condition, Context, Effect, System
-from monitor.signals import SegmentDesign, taper
+from monitor.signals import SegmentDesign, conditioned, taper
 
 Between = Literal["smooth", "straight", "held"]
 """Course of the inputs between their samples: smooth as after a sensor's filter, or straight or held as in a simulation."""
@@ -165,20 +165,20 @@ class Drive:
         return members, np.moveaxis(windows[:, self.first[members]], 0, -1)
 
 
-def joined(streams: Sequence[Sequence[tuple[int, Array]]], rate_hz: float) -> list[tuple[int, Array]]:
+def joined(streams: Sequence[Sequence[conditioned.Run]], rate_hz: float) -> list[tuple[int, Array]]:
     """Join the runs of several inputs in the stretches in which all of them are there.
 
-    A run has the UTC of its first sample in ns, and conditioned samples in columns; a joined one has the columns of all.
+    A joined run has the UTC of its first sample in ns, and conditioned samples in the columns of all.
     """
-    out = list(streams[0])
+    out = [(run.t_ns, run.values) for run in streams[0]]
     for runs in streams[1:]:
         both = []
-        for (t, samples), (u, others) in product(out, runs):
-            shift = (u - t) * 1e-9 * rate_hz
+        for (t, samples), other in product(out, runs):
+            shift = (other.t_ns - t) * 1e-9 * rate_hz
             first, second = max(0, round(shift)), max(0, -round(shift))
-            n = min(len(samples) - first, len(others) - second)
+            n = min(len(samples) - first, len(other.values) - second)
             if abs(shift - round(shift)) < _MAX_MISALIGNMENT and n > 0:
-                columns = np.column_stack([samples[first : first + n], others[second : second + n]])
+                columns = np.column_stack([samples[first : first + n], other.values[second : second + n]])
                 both.append((t + round(first / rate_hz * 1e9), columns))
         out = both
     return out
