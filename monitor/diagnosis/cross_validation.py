@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from monitor.core import Array, ComplexArray, parallel_map
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.drawing_refit import withdraw_other_structure
 from monitor.diagnosis.fold_refit import refit_form
 from monitor.diagnosis.predictive_score import Score, csd_error, score
@@ -84,49 +84,43 @@ class HeldOutGain:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Blocks:
-    """Division of a recording into contiguous blocks."""
-
-    of_segment: Annotated[NDArray[np.intp], "segments"]
-    """Block of every segment, -1 for one that straddles a border."""
-    n: int
-    length_s: float
-
-    @property
-    def folds(self) -> int:
-        """Number of fits by which every block is held out once."""
-        return min(_N_FOLDS, self.n)
-
-    def held(self, fold: int) -> Annotated[NDArray[np.bool_], "segments"]:
-        """Select the segments that a fold holds out."""
-        return np.asarray((self.of_segment >= 0) & (self.of_segment % self.folds == fold))
-
-    def others(self, held: Annotated[NDArray[np.bool_], "segments"]) -> Annotated[NDArray[np.bool_], "segments"]:
-        """Select the segments that a fold is fitted to."""
-        return (self.of_segment >= 0) & ~held
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class _Folds:
-    """A recording and its parts that are held out in turn."""
+    """A recording in contiguous blocks of equal length, parts of which are held out in turn."""
 
     segments: Segments
-    blocks: _Blocks
-    parts: tuple[Annotated[NDArray[np.bool_], "segments"], ...]
-    """Masks of the segments that are held out together; none where the recording is too short."""
+    block: Annotated[NDArray[np.intp], "segments"]
+    """Block of every segment, -1 for one that straddles a border."""
+    n_blocks: int
+    length_s: float
 
     @classmethod
     def of(cls, segments: Segments) -> Self:
         """Divide a recording."""
-        blocks = _cut_blocks(segments)
-        parts = tuple(blocks.held(fold) for fold in range(blocks.folds))
-        return cls(segments, blocks, () if any(np.count_nonzero(held) < 2 for held in parts) else parts)
+        half = 0.5 / segments.band.bin_hz
+        start, end = segments.t_s.min() - half, segments.t_s.max() + half
+        n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
+        n = _N_FOLDS * (n // _N_FOLDS) or 2
+        length = (end - start) / n
+        first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
+        last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
+        return cls(segments, np.where(first == last, first, -1), n, float(length))
+
+    @property
+    def n(self) -> int:
+        """Number of fits by which every block is held out once."""
+        return min(_N_FOLDS, self.n_blocks)
+
+    @property
+    def parts(self) -> list[Annotated[NDArray[np.bool_], "segments"]]:
+        """Masks of the segments that are held out together; none where the recording is too short."""
+        parts = [(self.block >= 0) & (self.block % self.n == fold) for fold in range(self.n)]
+        return [] if any(np.count_nonzero(held) < 2 for held in parts) else parts
 
     def score(self, diagnosis: Diagnosis, form: MapEstimate) -> list[Score]:
         """Score a form of a diagnosis on each part, fitted to the others."""
 
         def scored(held: NDArray[np.bool_]) -> Score:
-            others = self.blocks.others(held)
+            others = (self.block >= 0) & ~held
             label = diagnosis.posterior.observed.label[others]
             part = classify(self.segments.part(others), label)
             # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
@@ -159,19 +153,27 @@ class _Scored:
             return HeldOutGain()
         if not self.extended:
             return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
-        blocks, segments = self.folds.blocks, self.folds.segments
-        nats, samples = np.zeros((2, blocks.n)), np.zeros(blocks.n)
-        of_spectra = (len(self.extended), 2, 2, *segments.values.shape[1:], segments.values.shape[2])
-        spectra = np.zeros(of_spectra, dtype=complex)
-        scores = zip(self.folds.score(self.diagnosis, form), self.extended, strict=True)
-        for of_fold, held, of_both in zip(spectra, self.folds.parts, scores, strict=True):
-            of_held = blocks.of_segment[held]
+        folds = self.folds
+        nats, samples, spectra = np.zeros((2, folds.n_blocks)), np.zeros(folds.n_blocks), []
+        for held, *of_both in zip(folds.parts, folds.score(self.diagnosis, form), self.extended, strict=True):
+            of_held, n_held = folds.block[held], np.count_nonzero(held)
             for i, form_score in enumerate(of_both):
-                nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
-                of_fold[i] = np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
-            samples += np.bincount(of_held, minlength=blocks.n) * (of_both[0].samples / np.count_nonzero(held))
-        gain = _summarize_scores(nats, samples, spectra, blocks)
-        return replace(gain, calibration=calibration_nats(self.diagnosis, form) / float(samples.sum()))
+                nats[i] += np.bincount(of_held, form_score.nats, folds.n_blocks)
+            spectra.append([n_held * np.stack([one.measured, one.modelled]) for one in of_both])
+            samples += np.bincount(of_held, minlength=folds.n_blocks) * (of_both[0].samples / n_held)
+        gains, whole, total = nats[1] - nats[0], np.sum(spectra, axis=0), samples.sum()
+        return HeldOutGain(
+            before=float(nats[0].sum() / total),
+            after=float(nats[1].sum() / total),
+            ci95=_bootstrap_interval(gains, samples),
+            nats=float(gains.sum()),
+            csd_error_before=csd_error(*whole[0]),
+            csd_error_after=csd_error(*whole[1]),
+            csd_error_rises=all(csd_error(*after) > csd_error(*before) for before, after in spectra),
+            heldout=f"{folds.n_blocks} contiguous blocks of {folds.length_s:.0f} s, every {_ORDINAL[folds.n]} by a fit to "
+            "the others",
+            calibration=calibration_nats(self.diagnosis, form) / float(total),
+        )
 
     def is_confirmed_over(self, form: MapEstimate) -> bool:
         """Decide if the effects that a form lacks gain over it."""
@@ -203,32 +205,6 @@ def calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
     return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(without.x[structure])
 
 
-def _summarize_scores(
-    nats: Annotated[Array, "2 blocks"],
-    samples: Annotated[Array, "blocks"],
-    spectra: Annotated[ComplexArray, "folds 2 2 bins c c"],
-    blocks: _Blocks,
-) -> HeldOutGain:
-    """Sum up the blocks' scores.
-
-    `nats` has the old and the extended form; `spectra` has for every part held out, and for both forms, measured and modelled
-    cross-spectra.
-    """
-    total, whole = samples.sum(), spectra.sum(axis=0)
-    ci95 = _bootstrap_interval(nats[1] - nats[0], samples)
-    return HeldOutGain(
-        before=float(nats[0].sum() / total),
-        after=float(nats[1].sum() / total),
-        ci95=ci95,
-        nats=float((nats[1] - nats[0]).sum()),
-        csd_error_before=csd_error(*whole[0]),
-        csd_error_after=csd_error(*whole[1]),
-        csd_error_rises=all(csd_error(*after) > csd_error(*before) for before, after in spectra),
-        heldout=f"{blocks.n} contiguous blocks of {blocks.length_s:.0f} s, every {_ORDINAL[blocks.folds]} by a fit to "
-        "the others",
-    )
-
-
 def _bootstrap_interval(gains: Annotated[Array, "blocks"], samples: Annotated[Array, "blocks"]) -> tuple[float, float]:
     """Bootstrap the 95 % interval of the gain per sample instant, resampling whole blocks.
 
@@ -253,18 +229,6 @@ def _bootstrap_widening(n_blocks: int) -> float:
     if n_blocks < _N_FOLDS:
         return 1.0
     return float(stdtrit(n_blocks - 1, 0.975) / ndtri(0.975) * np.sqrt(n_blocks / (n_blocks - 1)))
-
-
-def _cut_blocks(segments: Segments) -> _Blocks:
-    """Divide a recording into contiguous blocks of equal length."""
-    half = 0.5 / segments.band.bin_hz
-    start, end = segments.t_s.min() - half, segments.t_s.max() + half
-    n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
-    n = _N_FOLDS * (n // _N_FOLDS) or 2
-    length = (end - start) / n
-    first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
-    last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
-    return _Blocks(np.where(first == last, first, -1), n, float(length))
 
 
 def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagnosis, HeldOutGain]:

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference import FORCE_STD, Band, MapEstimate, Posterior, Prediction, fit_levels, spectra_by_force
+from monitor.inference import (
+    FORCE_STD,
+    Band,
+    MapEstimate,
+    Posterior,
+    Prediction,
+    fit_levels,
+    spectra_by_force,
+    unpacked,
+)
 from monitor.model import ModelDiscrepancy
 from monitor.signals import overlap_correlation
 
@@ -99,15 +108,10 @@ def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior:
     per = _bins_per_band(posterior.observed.band)
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
-    matrix = np.zeros((n, c, c))
-    row = 0
-    for i in range(c):
-        for j in range(i):
-            matrix[:, i, j], matrix[:, j, i] = z[:, row], z[:, row + 1]
-            row += 2
-        matrix[:, i, i] = z[:, row]
-        row += 1
-    return matrix, posterior.observed.band.hz[: n * per].reshape(n, per).mean(axis=1)
+    matrix = unpacked(z.T)
+    return np.tril(matrix.real) - np.triu(matrix.imag), posterior.observed.band.hz[: n * per].reshape(n, per).mean(
+        axis=1
+    )
 
 
 def _bins_per_band(band: Band) -> int:

@@ -77,7 +77,9 @@ def score(
         modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
     nats = _segment_nats(residual, observed, scatter)[held]
     band_hz = float(segments.band.hz[0]), float(segments.band.hz[-1])
-    return Score(nats, _sample_instants(segments, held), band_hz, measured, modelled)
+    # The segments overlap by half, so that each covers half of its samples.
+    samples = round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
+    return Score(nats, samples, band_hz, measured, modelled)
 
 
 def csd_error(measured: Annotated[ComplexArray, "bins c c"], modelled: Annotated[ComplexArray, "bins c c"]) -> float:
@@ -90,11 +92,6 @@ def csd_error(measured: Annotated[ComplexArray, "bins c c"], modelled: Annotated
     0.25
     """
     return float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
-
-
-def _sample_instants(segments: Segments, held: NDArray[np.bool_]) -> int:
-    """Count the sample instants, at the rate of the processing, that segments cover: half of each, as they overlap by half."""
-    return round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
 
 
 def _segment_nats(
