@@ -72,7 +72,7 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Misfit:
     predicted, x = prediction.spectra, e.segments.values if prediction.left is None else prediction.left
     parts = spectra_by_force(posterior, fitted.x, fitted.effects)
     signal = parts.sum(axis=0)
-    late = e.t_s > np.median(e.t_s)
+    late = e.segments.t_s > np.median(e.segments.t_s)
     z = []
     for half in (late, ~late):
         model, data, counts = predicted.copy(), predicted.copy(), np.zeros(posterior.n_classes)

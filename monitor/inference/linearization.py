@@ -65,11 +65,11 @@ def linearize(
     beyond, out = _power_above_band(posterior, x, everything), []
     shaken = posterior.unmeasured_share(everything) > 0.0
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
-    piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
+    piled, band_hz = e.segments.piled >= MIN_PILED, float(e.band.hz[-1])
     for k, row in enumerate(rms):
         excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         parts = row[:m], row[m : 2 * m], row[2 * m :]
-        out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
+        out.append(Condition(*parts, e.rms[k], excess_degc, e.segments.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
 
 
@@ -151,7 +151,7 @@ def _power_above_band(posterior: Posterior, x: Array, effects: Sequence[Effect])
     e, context = posterior.observed, posterior.context_at(x)
     system = extended(posterior.system(x, effects), effects, context, posterior.conditions[0])
     white = variances(system, e.counts @ posterior.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
-    noise = posterior.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
+    noise = posterior.noise(x) * (e.segments.rate_hz - 2.0 * e.band.hz[-1])
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
 
 
@@ -188,4 +188,4 @@ def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None
     value = class_temperature(evidence, k, lag_s)
     if value is None:
         return 0.0
-    return value - (float(evidence.temperature[:, 1].mean()) if reference_degc is None else reference_degc)
+    return value - (float(evidence.segments.temperature[:, 1].mean()) if reference_degc is None else reference_degc)
