@@ -30,9 +30,14 @@ class WitnessSensor:
     """``joint``, or ``midspan`` of a girder."""
 
     @property
+    def turns(self) -> bool:
+        """Whether it measures a rotation."""
+        return self.quantity == "rotation_rate"
+
+    @property
     def topic(self) -> str:
         """Topic of its samples."""
-        return ROTATION_RATE if self.quantity == "rotation_rate" else ACCELERATION
+        return ROTATION_RATE if self.turns else ACCELERATION
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -26,10 +26,6 @@ from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 T = TypeVar("T")
 _TAPS = leakage()
-_MIN_GROUND_SHARE = 1e-9
-"""Share of the variance from the ground below which it is zero. [ratio; rounding]"""
-_MAX_GROUND_SHARE = 0.999
-"""Largest share of the variance from the ground. [ratio; rounding]"""
 _FREQUENCY_BLOCK = 64
 """Frequencies whose systems are solved together. [count; cost]"""
 _LOWEST_HZ = 0.05
@@ -326,8 +322,8 @@ def ground_density(
     """
     by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
-    share = min(share, _MAX_GROUND_SHARE)
-    if share < _MIN_GROUND_SHARE:
+    share = min(share, 0.999)
+    if share < 1e-9:
         return 0.0
 
     def excess(ln_density: float) -> float:

@@ -22,7 +22,7 @@ from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
 from monitor.inference.trial import require_finite
 from monitor.model import Line
-from monitor.signals import overlap_correlation, taper
+from monitor.signals import MAIN_LOBE_BINS, overlap_correlation, taper
 
 _MODE_BAND = 0.15
 """Half-width of a mode's band, over its frequency. [ratio; judgement]"""
@@ -30,10 +30,6 @@ _MIN_KURTOSIS_STD = 0.03
 """Least standard deviation of the kurtosis that forces of changing level give all modes. [1; judgement]"""
 _MIN_BAND_WIDTH = 0.1
 """Least width of a band between modes, over its frequency. [ratio; judgement]"""
-_TONE_BINS = 2.0
-"""Half-width of the band in which a tone's kurtosis is measured. [bins; the taper's main lobe]"""
-_TONE_KURTOSIS = -1.5
-"""Excess kurtosis of a tone. [1; definition]"""
 _STUDENT_FREEDOM = 10.0
 """Of Student's distribution for the kurtosis. [degrees of freedom; judgement: blows and tones, which no law here makes,
 must not decide]"""
@@ -115,7 +111,7 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
     line, `at`, gives the share of the power that is the line's.
     """
     band = posterior.observed.band
-    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= _TONE_BINS * band.bin_hz)
+    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= MAIN_LOBE_BINS * band.bin_hz)
     if not near.size:
         return 0.0
     others = tuple(e for e in at.effects if line not in e.lines())
@@ -136,7 +132,7 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
         square = ((kurtosis - expected) / std) ** 2
         return -0.5 * (_STUDENT_FREEDOM + 1.0) * float(np.log1p(square / _STUDENT_FREEDOM))
 
-    return log_likelihood(_TONE_KURTOSIS * float(share) ** 2) - log_likelihood(0.0)
+    return log_likelihood(-1.5 * float(share) ** 2) - log_likelihood(0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -201,14 +197,10 @@ def _kurtosis(narrow: Annotated[ComplexArray, "segments bins"], level: Array) ->
         return 0.0, np.inf
     length = next_fast_len(4 * narrow.shape[1])  # room for the fourth power
     power = np.abs(ifft(narrow, n=length, axis=1)) ** 2 / level[:, None]
-    second, fourth = power.mean(axis=1), (power**2).mean(axis=1)
-    ratio = fourth.mean() / second.mean() ** 2 / _normal_ratio(length)
+    second, fourth, shape = power.mean(axis=1), (power**2).mean(axis=1), taper(length) ** 2
+    # Mean fourth power of a normal process's envelope, over the square of its mean square, under the taper.
+    normal = float(2.0 * (shape**2).mean() / shape.mean() ** 2)
+    ratio = fourth.mean() / second.mean() ** 2 / normal
     by_segment = ratio * (fourth / fourth.mean() - 2.0 * second / second.mean())
     std = by_segment.std(ddof=1) * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(second))
     return 3.0 * (float(ratio) - 1.0), 3.0 * float(std)
-
-
-def _normal_ratio(length: int) -> float:
-    """Compute the mean fourth power of a normal process's envelope over the square of its mean square, under the taper."""
-    shape = taper(length) ** 2
-    return float(2.0 * (shape**2).mean() / shape.mean() ** 2)

@@ -14,7 +14,7 @@ from monitor.inference.arrays import Spectra, Transforms, mean_products
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
-from monitor.signals import overlap_correlation
+from monitor.signals import bin_correlation, overlap_correlation
 
 _LEVEL_CLASSES = 5
 """Most classes of vibration level. [count; judgement]"""
@@ -70,13 +70,9 @@ class ObservedSpectra:
         return float(self.weight * self.counts.sum() * n_bins)
 
 
-_BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
-"""Squared correlations of neighbouring bins, one and two apart. [1; definition: Hann taper]"""
-
-
 def information_weight() -> float:
     """Compute the independent pieces of information in a segment and bin."""
-    return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
+    return 1.0 / (bin_correlation() * (1.0 + 2.0 * overlap_correlation()))
 
 
 def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> ObservedSpectra:
