@@ -11,6 +11,7 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.plan import plan_of
 from monitor.inference import DrivenPosterior, MapEstimate, Posterior, with_coordinates
+from monitor.signals import NORMAL_MAD
 
 _FIRST_MODE_BAND = 0.6, 1.6
 """Band in which the first mode's equation of motion is fitted, over the first frequency. [ratio; judgement]"""
@@ -19,9 +20,6 @@ _MAX_LEFT_POWER = 0.1
 judgement]"""
 _MIN_SEGMENTS = 6
 """Fewest segments from which a dependence on amplitude is stated. [segments; judgement]"""
-_MEDIAN_STD_FACTOR = 1.4826 * 1.2533
-"""Standard deviation of a normal sample's median times the root of the sample's size, over the median absolute
-deviation. [1; definition: normal distribution]"""
 _MIN_RELATIVE_CHANGE = 0.004
 """Smallest relative change of a frequency or damping ratio that is reported. [ratio; judgement]"""
 _MIN_CHANGE_STDS = 6.0
@@ -91,7 +89,8 @@ def _fit_oscillator(
 def median_with_std(values: Annotated[Array, "n"]) -> tuple[float, float]:
     """Compute the median of values, and its standard deviation from their scatter."""
     middle = float(np.median(values))
-    return middle, _MEDIAN_STD_FACTOR * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
+    # That of a normal sample's median is sqrt(pi / 2) times that of its mean.
+    return middle, NORMAL_MAD * 1.2533 * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
 
 
 def find_level_dependence(found: Backbone | None) -> LackOfFit | None:

@@ -216,19 +216,10 @@ def _bootstrap_interval(gains: Annotated[Array, "blocks"], samples: Annotated[Ar
     drawn = np.random.default_rng(0).integers(0, n, (_N_BOOTSTRAPS, n))
     means = gains[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
     value = gains.sum() / samples.sum()
-    low, high = value + _bootstrap_widening(n) * (np.quantile(means, [0.025, 0.975]) - value)
+    # From few blocks the interval is too narrow.  That from two is their range, which is no 95 % interval.
+    widening = 1.0 if n < _N_FOLDS else float(stdtrit(n - 1, 0.975) / ndtri(0.975) * np.sqrt(n / (n - 1)))
+    low, high = value + widening * (np.quantile(means, [0.025, 0.975]) - value)
     return float(low), float(high)
-
-
-def _bootstrap_widening(n_blocks: int) -> float:
-    """Compute the factor by which a bootstrap interval from few blocks must be widened.
-
-    The factor is Student's t over the normal quantile, times the root of n / (n - 1).  The interval from two blocks is their
-    range, which is no 95 % interval, so it is not widened.
-    """
-    if n_blocks < _N_FOLDS:
-        return 1.0
-    return float(stdtrit(n_blocks - 1, 0.975) / ndtri(0.975) * np.sqrt(n_blocks / (n_blocks - 1)))
 
 
 def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagnosis, HeldOutGain]:

@@ -61,7 +61,16 @@ def content(
         "also_fitted": [_described(c, prior) for c in diagnosis.also_fitted],
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
-        "gain": _gain(gain),
+        "gain": {
+            "log_score_per_sample": {
+                "before": gain.before,
+                "after": gain.after,
+                "gain": gain.value,
+                "ci95": list(gain.ci95),
+            },
+            "csd_error": {"before": gain.csd_error_before, "after": gain.csd_error_after},
+            "heldout": gain.heldout,
+        },
         "standing": [c for c in standing_causes(prior) if (c["effect"], c["location"]) not in stated],
         "standing_misfit": None if e is None else {"bands_hz": e.doubtful_hz(), "says": contradicted(e)},
         "tried": [
@@ -152,13 +161,6 @@ def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:
 def _finite(value: float) -> float:
     """Clip a number to the finite range of JSON; a NaN becomes the largest number."""
     return float(np.clip(np.nan_to_num(value, nan=NOT_DETERMINED), -NOT_DETERMINED, NOT_DETERMINED))
-
-
-def _gain(gain: HeldOutGain) -> dict[str, Any]:
-    """Describe the gain on held-out data."""
-    score = {"before": gain.before, "after": gain.after, "gain": gain.value, "ci95": list(gain.ci95)}
-    error = {"before": gain.csd_error_before, "after": gain.csd_error_after}
-    return {"log_score_per_sample": score, "csd_error": error, "heldout": gain.heldout}
 
 
 def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]:

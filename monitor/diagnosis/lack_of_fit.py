@@ -281,7 +281,9 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     change, growth = forces - forces.mean() - known, _growth_on_missing_modes(posterior, fitted)
     if has_coupled_modes(posterior) and _is_unlikely(change, known.size - 1, settings):
         size, weakest = float(np.sqrt(change @ change)), int(change.argmin())
-        says = f"the force on floor {weakest + 1} is {_factor(change[weakest])} of its former share"
+        percent = 100.0 * np.exp(0.5 * change[weakest])
+        factor = f"{percent:.2g} %" if percent >= 0.1 else "less than 0.1 %"
+        says = f"the force on floor {weakest + 1} is {factor} of its former share"
     elif growth > 0.0 and _exceeds_chance(0.5 * (growth / FORCE_STD) ** 2, 1, settings):
         size, times = growth, np.exp(0.5 * growth)
         says = (
@@ -346,12 +348,6 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
         is_explained=True,
         hides_structure=True,
     )
-
-
-def _factor(ln_density: float) -> str:
-    """Write the factor on an amplitude, from the logarithm of that on a density, as a percentage."""
-    percent = 100.0 * np.exp(0.5 * ln_density)
-    return f"{percent:.2g} %" if percent >= 0.1 else "less than 0.1 %"
 
 
 def _list_deviations(

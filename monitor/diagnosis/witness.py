@@ -17,7 +17,7 @@ from monitor.core import Array, ComplexArray, encode
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.story_forces import true_motion
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
-from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
+from monitor.model import Condition, Context, Model, ShearFrame, interval
 from monitor.signals import MAIN_LOBE_BINS
 
 _SEGMENT_PERIODS = 20.0
@@ -127,7 +127,8 @@ class _Comparison:
         self.modes, self.structure = extended.modes(), extended.structure
         last_hz = float(data.hz[-1 - MAIN_LOBE_BINS])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
-        own = [(e.name, _own_frequency(e)) for e in extended.effects]
+        # Modes and oscillators that effects add.
+        own = [(e.name, e.values().get("frequency_hz")) for e in extended.effects if e.family == "structure"]
         self.others = [(name, hz) for name, hz in own if hz is not None and hz < last_hz]
 
     def judge(self, sensor: WitnessSensor) -> Witness:
@@ -233,11 +234,6 @@ class _Comparison:
         """Return the bins that belong to a mode."""
         at = round(hz / float(self.data.hz[1]))
         return slice(max(1, at - MAIN_LOBE_BINS), at + MAIN_LOBE_BINS + 1)
-
-
-def _own_frequency(effect: Effect) -> float | None:
-    """Return the frequency of a mode or an oscillator that an effect adds, Hz; None for other effects."""
-    return effect.values().get("frequency_hz") if effect.family == "structure" else None
 
 
 def _transfer(turned: Motion, moved: Motion, bins: slice, *, signed: bool) -> tuple[float, float, float]:
