@@ -175,11 +175,6 @@ class _Scored:
             calibration=calibration_nats(self.diagnosis, form) / float(total),
         )
 
-    def is_confirmed_over(self, form: MapEstimate) -> bool:
-        """Decide if the effects that a form lacks gain over it."""
-        added = self.diagnosis.final_fit.effects[len(form.effects) :]
-        return confirms(self.diagnosis, added, self.gain_over(form))
-
 
 def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     """Measure the gain of a diagnosis's extended model over the old form on blocks that neither was fitted to.
@@ -239,8 +234,9 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
         shorter.append(withdraw_other_structure(shorter[-1].without_last_cause()))
     folds = _Folds.of(segments)
     for n_withdrawn, found in enumerate(shorter):
-        scored = _Scored.of(folds, found)
-        if all(scored.is_confirmed_over(rest.final_fit) for rest in shorter[n_withdrawn + 1 :]):
+        scored, forms = _Scored.of(folds, found), [rest.final_fit for rest in shorter[n_withdrawn + 1 :]]
+        added = [found.final_fit.effects[len(form.effects) :] for form in forms]
+        if all(confirms(found, a, scored.gain_over(form)) for a, form in zip(added, forms, strict=True)):
             gain = scored.gain_over(found.null_fit)
             if confirms(found, found.final_fit.effects, gain):
                 return found, gain if found.verdict != "none" else HeldOutGain()

@@ -291,14 +291,17 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
         )
     else:
         return None
-    return LackOfFit(
+    return _hiding_structure(
         "direction of the forces",
         size / FORCE_STD,
-        f"the forces come from another direction than at calibration ({says}), "
-        "and modes that the model lacks follow them: nothing can be said of the structure",
-        is_explained=True,
-        hides_structure=True,
+        f"the forces come from another direction than at calibration ({says}), and modes that the model lacks follow them",
     )
+
+
+def _hiding_structure(where: str, size: float, says: str) -> LackOfFit:
+    """State a lack of fit whose cause is known, and beside which nothing can be said of the structure."""
+    says += ": nothing can be said of the structure"
+    return LackOfFit(where, size, says, is_explained=True, hides_structure=True)
 
 
 def _growth_on_missing_modes(posterior: Posterior, fitted: MapEstimate) -> float:
@@ -340,13 +343,11 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
         return None
     stiffness = away[: layout.stiffness.stop - layout.stiffness.start]
     farthest = int(np.abs(stiffness).argmax())
-    return LackOfFit(
+    return _hiding_structure(
         "structure of the file",
         float(np.sqrt(2.0 * cost)),
         f"no structure near that of the file explains the recording (fitted, story {farthest + 1} has "
-        f"{100.0 * np.exp(stiffness[farthest]):.2g} % of the file's stiffness): nothing can be said of the structure",
-        is_explained=True,
-        hides_structure=True,
+        f"{100.0 * np.exp(stiffness[farthest]):.2g} % of the file's stiffness)",
     )
 
 

@@ -93,10 +93,17 @@ class MeasuredMoments:
 
 def measure_moments(transforms: Transforms, posterior: Posterior, at: MapEstimate) -> MeasuredMoments:
     """Measure the moments of a recording's segments, with their standard deviations, about the modes of the fit `at`."""
-    split = _split_by_mode(transforms, posterior, at)
-    skew, tails = drift_skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
+    context, hz, level = posterior.context, posterior.observed.band.hz, relative_level(transforms)
+    floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
+    model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
+    modes, n = model.modes(), context.structure.n_dofs
+    pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
+    near = np.abs(hz - modes.frequencies_hz[:n, None]) < _MODE_BAND * modes.frequencies_hz[:n, None]
+    tails = [_kurtosis(floors[:, about] @ own, level) for about, own in zip(near, pick, strict=True)]
+    skew = drift_skewness(floors, posterior)
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
-    return MeasuredMoments(mean, std, _kurtosis_between_modes(split, posterior.observed.band.hz))
+    between = np.flatnonzero(~near.any(axis=0))
+    return MeasuredMoments(mean, std, _kurtosis_between_modes(floors, level, between, hz))
 
 
 def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> Moments:
@@ -135,39 +142,15 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
     return log_likelihood(-1.5 * float(share) ** 2) - log_likelihood(0.0)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Split:
-    """Segments split by mode."""
-
-    floors: Annotated[ComplexArray, "segments bins n"]
-    """Transforms of the floors' accelerations."""
-    level: Annotated[Array, "segments"]
-    """Level of every segment, which varies slowly and by which the segment's power is divided."""
-    modes: tuple[Annotated[ComplexArray, "segments bins"], ...]
-    """Transforms of every mode's coordinate in the bins about it."""
-    between: NDArray[np.intp]
-    """Bins outside the bands of all modes."""
-
-
-def _split_by_mode(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _Split:
-    """Split segments into the bands of a fit's modes."""
-    context, hz = posterior.context, posterior.observed.band.hz
-    floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
-    model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
-    modes, n = model.modes(), context.structure.n_dofs
-    pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
-    near = np.abs(hz - modes.frequencies_hz[:n, None]) < _MODE_BAND * modes.frequencies_hz[:n, None]
-    narrow = tuple(floors[:, about] @ own for about, own in zip(near, pick, strict=True))
-    return _Split(floors, relative_level(transforms), narrow, np.flatnonzero(~near.any(axis=0)))
-
-
-def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
+def _kurtosis_between_modes(
+    floors: Annotated[ComplexArray, "segments bins n"], level: Array, between: NDArray[np.intp], hz: Array
+) -> float:
     """Average the excess kurtosis of the floors over all sufficiently wide bands between modes; 0 where there is none."""
-    found, weight, free = [0.0], [0.0], split.between
-    for run in np.split(free, np.flatnonzero(np.diff(free) > 1) + 1):
+    found, weight = [0.0], [0.0]
+    for run in np.split(between, np.flatnonzero(np.diff(between) > 1) + 1):
         if run.size and hz[run[-1]] - hz[run[0]] > _MIN_BAND_WIDTH * hz[run[0]]:
-            found += [_kurtosis(floor[:, run], split.level)[0] for floor in np.moveaxis(split.floors, 2, 0)]
-            weight += [float(run.size)] * split.floors.shape[2]
+            found += [_kurtosis(floor[:, run], level)[0] for floor in np.moveaxis(floors, 2, 0)]
+            weight += [float(run.size)] * floors.shape[2]
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 

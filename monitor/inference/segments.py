@@ -152,16 +152,9 @@ class Segments:
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask."""
         share = float(chosen.mean()) if chosen.size else 0.0
-        return replace(
-            self,
-            values=self.values[chosen],
-            t_s=self.t_s[chosen],
-            rms=self.rms[chosen],
-            above=self.above[chosen],
-            peaks=self.peaks[chosen],
-            drive=None if self.drive is None else self.drive.part(chosen),
-            samples=round(self.samples * share),
-        )
+        drive = None if self.drive is None else self.drive.part(chosen)
+        own = {name: getattr(self, name)[chosen] for name in ("values", "t_s", "rms", "above", "peaks")}
+        return replace(self, drive=drive, samples=round(self.samples * share), **own)
 
 
 def gather(
