@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Self
 
 import numpy as np
@@ -84,18 +84,29 @@ class HeldOutGain:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Folds:
-    """A recording in contiguous blocks of equal length, parts of which are held out in turn."""
+class HeldOut:
+    """A recording in contiguous blocks, parts of which are held out in turn, and how a diagnosis's extended form predicts them.
+
+    A form is scored on every fourth block, fitted to the others, four times over (every second one where the recording is short).
+
+    References
+    ----------
+    D. Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure,
+    Ecography 40 (2017) 913 (blocks in place of single samples).
+    """
 
     segments: Segments
+    diagnosis: Diagnosis
     block: Annotated[NDArray[np.intp], "segments"]
     """Block of every segment, -1 for one that straddles a border."""
     n_blocks: int
     length_s: float
+    extended: list[Score] = field(default_factory=list)
+    """Scores of the extended form on each part; none without causes, or where the recording is too short."""
 
     @classmethod
-    def of(cls, segments: Segments) -> Self:
-        """Divide a recording."""
+    def of(cls, segments: Segments, diagnosis: Diagnosis) -> Self:
+        """Divide a recording, and score the extended form."""
         half = 0.5 / segments.band.bin_hz
         start, end = segments.t_s.min() - half, segments.t_s.max() + half
         n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
@@ -103,65 +114,58 @@ class _Folds:
         length = (end - start) / n
         first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
         last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
-        return cls(segments, np.where(first == last, first, -1), n, float(length))
+        divided = cls(segments, diagnosis, np.where(first == last, first, -1), n, float(length))
+        form = diagnosis.final_fit
+        return replace(divided, extended=divided.score(form) if form.effects else [])
 
     @property
-    def n(self) -> int:
+    def n_parts(self) -> int:
         """Number of fits by which every block is held out once."""
         return min(_N_FOLDS, self.n_blocks)
 
     @property
     def parts(self) -> list[Annotated[NDArray[np.bool_], "segments"]]:
         """Masks of the segments that are held out together; none where the recording is too short."""
-        parts = [(self.block >= 0) & (self.block % self.n == fold) for fold in range(self.n)]
+        n = self.n_parts
+        parts = [(self.block >= 0) & (self.block % n == i) for i in range(n)]
         return [] if any(np.count_nonzero(held) < 2 for held in parts) else parts
 
-    def score(self, diagnosis: Diagnosis, form: MapEstimate) -> list[Score]:
-        """Score a form of a diagnosis on each part, fitted to the others."""
+    def score(self, form: MapEstimate) -> list[Score]:
+        """Score a form on each part, fitted to the others."""
+        posterior, segments = self.diagnosis.posterior, self.segments
 
         def scored(held: NDArray[np.bool_]) -> Score:
             others = (self.block >= 0) & ~held
-            label = diagnosis.posterior.observed.label[others]
-            part = classify(self.segments.part(others), label)
+            label = posterior.observed.label[others]
+            part = classify(segments.part(others), label)
             # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
-            part = replace(part, counts=part.counts * self.segments.t_s.size / part.counts.sum())
-            model, excitation = refit_form(part, diagnosis, form, np.unique(label))
-            context, degc = diagnosis.posterior.context, diagnosis.posterior.prior.reference_degc
-            return score(self.segments, model, context, degc, held, excitation)
+            part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
+            model, excitation = refit_form(part, self.diagnosis, form, np.unique(label))
+            return score(segments, model, posterior.context, posterior.prior.reference_degc, held, excitation)
 
         return parallel_map(scored, self.parts)
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scored:
-    """A diagnosis, and the scores of its extended form on each part that is held out."""
-
-    folds: _Folds
-    diagnosis: Diagnosis
-    extended: list[Score]
-    """Empty without causes, or where the recording is too short."""
-
-    @classmethod
-    def of(cls, folds: _Folds, diagnosis: Diagnosis) -> Self:
-        """Score the extended form."""
-        form = diagnosis.final_fit
-        return cls(folds, diagnosis, folds.score(diagnosis, form) if form.effects else [])
-
     def gain_over(self, form: MapEstimate) -> HeldOutGain:
-        """Measure the gain over a form without some of the effects, fitted to the whole recording."""
+        """Measure the gain over a form without some of the effects, fitted to the whole recording.
+
+        A text stands in place of numbers where nothing was added to the model, or the recording is too short.
+        """
         if not self.diagnosis.final_fit.effects:
             return HeldOutGain()
         if not self.extended:
             return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
-        folds = self.folds
-        nats, samples, spectra = np.zeros((2, folds.n_blocks)), np.zeros(folds.n_blocks), []
-        for held, *of_both in zip(folds.parts, folds.score(self.diagnosis, form), self.extended, strict=True):
-            of_held, n_held = folds.block[held], np.count_nonzero(held)
+        n = self.n_blocks
+        nats, samples, spectra = np.zeros((2, n)), np.zeros(n), []
+        for held, *of_both in zip(self.parts, self.score(form), self.extended, strict=True):
+            of_held, n_held = self.block[held], np.count_nonzero(held)
             for i, form_score in enumerate(of_both):
-                nats[i] += np.bincount(of_held, form_score.nats, folds.n_blocks)
+                nats[i] += np.bincount(of_held, form_score.nats, n)
             spectra.append([n_held * np.stack([one.measured, one.modelled]) for one in of_both])
-            samples += np.bincount(of_held, minlength=folds.n_blocks) * (of_both[0].samples / n_held)
+            samples += np.bincount(of_held, minlength=n) * (of_both[0].samples / n_held)
         gains, whole, total = nats[1] - nats[0], np.sum(spectra, axis=0), samples.sum()
+        blocks = (
+            f"{n} contiguous blocks of {self.length_s:.0f} s, every {_ORDINAL[self.n_parts]} by a fit to the others"
+        )
         return HeldOutGain(
             before=float(nats[0].sum() / total),
             after=float(nats[1].sum() / total),
@@ -170,25 +174,9 @@ class _Scored:
             csd_error_before=csd_error(*whole[0]),
             csd_error_after=csd_error(*whole[1]),
             csd_error_rises=all(csd_error(*after) > csd_error(*before) for before, after in spectra),
-            heldout=f"{folds.n_blocks} contiguous blocks of {folds.length_s:.0f} s, every {_ORDINAL[folds.n]} by a fit to "
-            "the others",
+            heldout=blocks,
             calibration=calibration_nats(self.diagnosis, form) / float(total),
         )
-
-
-def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
-    """Measure the gain of a diagnosis's extended model over the old form on blocks that neither was fitted to.
-
-    The recording is cut into contiguous blocks.  Both forms are scored on every fourth of them, fitted to the others, four times
-    over (every second one where the recording is short).  A segment that straddles a border belongs to no block.  A text stands
-    in place of numbers where nothing was added to the model, or the recording is too short.
-
-    References
-    ----------
-    D. Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure,
-    Ecography 40 (2017) 913 (blocks in place of single samples).
-    """
-    return _Scored.of(_Folds.of(segments), diagnosis).gain_over(diagnosis.null_fit)
 
 
 def calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
@@ -232,9 +220,8 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     shorter = [diagnosis]
     while len(effects := shorter[-1].final_fit.effects) > 1 and not effects[-1].repeatable:
         shorter.append(withdraw_other_structure(shorter[-1].without_last_cause()))
-    folds = _Folds.of(segments)
     for n_withdrawn, found in enumerate(shorter):
-        scored, forms = _Scored.of(folds, found), [rest.final_fit for rest in shorter[n_withdrawn + 1 :]]
+        scored, forms = HeldOut.of(segments, found), [rest.final_fit for rest in shorter[n_withdrawn + 1 :]]
         added = [found.final_fit.effects[len(form.effects) :] for form in forms]
         if all(confirms(found, a, scored.gain_over(form)) for a, form in zip(added, forms, strict=True)):
             gain = scored.gain_over(found.null_fit)
