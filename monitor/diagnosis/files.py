@@ -12,19 +12,12 @@ from scipy.special import logsumexp
 from tomlkit.items import AoT
 
 from monitor.core import Array, encode
+from monitor.diagnosis import wording
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.story_forces import StoryLaw
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.diagnosis.witness import NOT_DETERMINED
-from monitor.diagnosis.wording import (
-    band_in_words,
-    contradicted,
-    headline,
-    in_words,
-    law_family,
-    separating_measurement,
-)
 from monitor.inference import ParameterLayout, Segments
 from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
@@ -49,7 +42,7 @@ def content(
     e = prior.error
     causes = [_described(c, prior) for c in diagnosis.causes]
     alternatives = [_alternative(c, share, prior) for c, share in diagnosis.alternatives]
-    family = law_family(alternatives)
+    family = wording.law_family(alternatives)
     stated = {(e.name, e.location) for e in known}
     out: dict[str, Any] = {
         "verdict": diagnosis.verdict,
@@ -59,7 +52,7 @@ def content(
         "family": family,
         "family_log_odds": None if family is None else _finite(_family_log_odds(diagnosis, family)),
         "also_fitted": [_described(c, prior) for c in diagnosis.also_fitted],
-        "separating_measurement": separating_measurement(alternatives),
+        "separating_measurement": wording.separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": {
             "log_score_per_sample": {
@@ -72,7 +65,7 @@ def content(
             "heldout": gain.heldout,
         },
         "standing": [c for c in standing_causes(prior) if (c["effect"], c["location"]) not in stated],
-        "standing_misfit": None if e is None else {"bands_hz": e.doubtful_hz(), "says": contradicted(e)},
+        "standing_misfit": None if e is None else {"bands_hz": e.doubtful_hz(), "says": wording.contradicted(e)},
         "tried": [
             {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.log_evidence)}
             for c in diagnosis.candidates
@@ -86,7 +79,7 @@ def content(
         "other_optima": list(optima),
         "detectable_loss": list(detectable_loss),
     }
-    return {**out, "says": headline(diagnosis, gain, out)}
+    return {**out, "says": wording.headline(diagnosis, gain, out)}
 
 
 def _family_log_odds(diagnosis: Diagnosis, family: LawFamily) -> float:
@@ -102,7 +95,7 @@ def _family_log_odds(diagnosis: Diagnosis, family: LawFamily) -> float:
 def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:
     """Describe the band that was judged, within that of ``[processing]``."""
     judged_hz, processing_hz = ([float(f) for f in band.hz[[0, -1]]] for band in (segments.band, segments.whole))
-    return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": band_in_words(segments, prior)}
+    return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": wording.band_in_words(segments, prior)}
 
 
 def _story_law(law: StoryLaw) -> dict[str, Any]:
@@ -126,7 +119,7 @@ def _described(cause: Cause, prior: StructuralPrior) -> dict[str, Any]:
         "effect": effect.name,
         "location": effect.location,
         "parameters": {name: size for name, size in sizes.items() if name in named},
-        "says": in_words(effect.name, effect.location, sizes, prior),
+        "says": wording.in_words(effect.name, effect.location, sizes, prior),
     }
     shape = [size for name, size in sizes.items() if name.startswith("shape_")]  # a coupled mode has more of its own
     if shape:

@@ -78,9 +78,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     half = round(e.segments.rate_hz / e.band.bin_hz / 2) if nonlinear else fast
     rate = 2.0 * half * e.band.bin_hz
     n, n_segments, known = context.structure.n_dofs, e.level.size, posterior.forces(x)
-    density = np.empty((n_segments, n))
-    for k, members in enumerate(e.members):
-        density[members] = known[k] * e.level[members][:, None]
+    density = known[e.label] * e.level[:, None]
     middle, at_sample = (np.arange(n_segments) + 2) * half, np.arange((n_segments + 2) * half)
     rng = np.random.default_rng(seed)
     root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
