@@ -124,12 +124,10 @@ def random_spectra(
     condition: Condition,
 ) -> Spectrum:
     """Compute the part of the segments' cross-spectra that is random motion and noise."""
-    clock = clock_ratio(effects)
-    fine = band.fine_hz
-    answer = seen(system, effects, fine, clock, context, condition)
-    force = excitation.force
+    fine, force = band.fine_hz, excitation.force
+    answer = seen(system, effects, fine, context, condition)
     mean_force, n_extra = float(force.mean()), answer.shape[2] - force.size - 1
-    colour = force_colour(effects, fine * clock)
+    colour = force_colour(effects, fine * clock_ratio(effects))
     share = sum(e.ground_share for e in effects)
     ground = excitation.ground_noise
     if share > 0.0:
@@ -162,7 +160,7 @@ def line_spectra(
     spectra = np.zeros((band.n_bins, c, c), dtype=complex)
     for line in (line for effect in effects for line in effect.lines()):
         at = np.array([line.frequency_hz / clock])
-        y = seen(system, effects, at, clock, context, condition)[0, :, line.floor]
+        y = seen(system, effects, at, context, condition)[0, :, line.floor]
         offset = (band.hz - at) / band.bin_hz
         power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
         spectra += power[:, None, None] * np.outer(y, y.conj())
@@ -193,18 +191,19 @@ def clock_ratio(effects: Sequence[Effect]) -> float:
 
 
 def seen(
-    system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
+    system: System, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
 ) -> Annotated[ComplexArray, "hz c n+1+extra"]:
     """Compute the frequency response of the recorded channels, with the effects of the acquisition.
 
     Its columns are for forces on the floors, a ground acceleration, then a force on each coupled and each extra mode.
-    `hz` are frequencies by the acquisition's clock; `clock` is its true rate over the nominal rate.
+    `hz` are frequencies by the acquisition's clock.
     """
-    answer = channel_response(system, clock * hz, context)
+    true_hz = clock_ratio(effects) * hz
+    answer = channel_response(system, true_hz, context)
     modes = [mode for effect in effects for mode in effect.extra_modes(context)]
     if modes:
-        answer = np.concatenate([answer, extra_mode_response(modes, clock * hz, context)], axis=2)
-    return recorded(answer, effects, clock * hz, context, condition)
+        answer = np.concatenate([answer, extra_mode_response(modes, true_hz, context)], axis=2)
+    return recorded(answer, effects, true_hz, context, condition)
 
 
 def recorded(

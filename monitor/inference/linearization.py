@@ -11,15 +11,7 @@ from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.arrays import Spectra
-from monitor.inference.cross_spectra import (
-    accelerance,
-    clock_ratio,
-    extended,
-    force_colour,
-    force_root,
-    seen,
-    variances,
-)
+from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.input_response import motion_rms
@@ -174,8 +166,7 @@ def _motion_roots(
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if posterior is None:
         return motion, motion
-    clock = clock_ratio(effects)
-    answer = seen(system, effects, hz, clock, context, posterior.conditions[k])
+    answer = seen(system, effects, hz, context, posterior.conditions[k])
     n_extra = answer.shape[2] - n - 1 - own_root.size
     own_root = np.concatenate([own_root, np.full(n_extra, np.sqrt(force.mean()))])
     channels = np.concatenate([answer[:, :, :n] @ root, colour * own_root * answer[:, :, n + 1 :]], axis=2)
