@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
+from monitor.diagnosis.backbone import find_level_dependence, find_ratio_change
 from monitor.diagnosis.backward_elimination import fit_subset
 from monitor.diagnosis.lack_of_fit import (
     LackOfFit,
@@ -154,8 +154,8 @@ def judge(
         left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
-    findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, null_fit)))
-    still = find_level_dependence(backbone(posterior, fit))
+    findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
+    still = find_level_dependence(posterior, fit)
     causes, also_fitted = stated_causes(found)
     return Diagnosis(
         verdict=verdict,
