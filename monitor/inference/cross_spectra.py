@@ -19,7 +19,6 @@ from scipy.optimize import brentq
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectrum
-from monitor.inference.judged_band import JudgedBand
 from monitor.inference.trial import require_finite
 from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
@@ -50,11 +49,9 @@ class Band:
     forces_hz: tuple[float, float] = (0.0, np.inf)
     """Frequencies at which the recording shows that the forces begin and end, Hz."""
 
-    def part(self, judged: JudgedBand) -> Band:
-        """Return the bins that a recording can judge."""
-        chosen = judged.judged
-        n_bins = chosen.stop - chosen.start
-        return Band(self.first + chosen.start, n_bins, self.bin_hz, self.gain[chosen], judged.forces_hz)
+    def part(self, chosen: slice, forces_hz: tuple[float, float]) -> Band:
+        """Return some of the bins, and where the forces begin and end."""
+        return Band(self.first + chosen.start, chosen.stop - chosen.start, self.bin_hz, self.gain[chosen], forces_hz)
 
     def forced(self, hz: Array) -> NDArray[np.bool_]:
         """Select the frequencies (Hz) at which forces act."""

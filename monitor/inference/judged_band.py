@@ -12,14 +12,12 @@ the modes, each of which moves in one direction only, and without what a single 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
-
 import numpy as np
 from scipy.ndimage import median_filter
 
 from monitor.core import Array
 from monitor.inference.arrays import Transforms, mean_products
+from monitor.inference.cross_spectra import Band
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
 _LEAST_ORDER_ABOVE = 4.0
@@ -40,17 +38,12 @@ _MEDIAN_BINS = 13
 taper]"""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class JudgedBand:
-    """Bins that can be judged, out of all bins of the band of ``[processing]``, and the range of the forces."""
+def find_judged_band(transforms: Transforms, whole: Band) -> Band:
+    """Find the part of a band in which forces shake the structure: where the power falls no more steeply than a structure's may.
 
-    judged: slice
-    forces_hz: tuple[float, float] = (0.0, np.inf)
-    """Frequencies between which the forces act: at each the power has fallen by half; zero and infinity where it does not."""
-
-
-def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> JudgedBand:
-    """Find the bins in which forces shake the structure: where the power falls no more steeply than a structure's may."""
+    At the frequencies at which the forces begin and end the power has fallen by half; zero and infinity where it does not.
+    """
+    hz, transforms = whole.hz, np.asarray(transforms / np.sqrt(whole.gain)[:, None], dtype=complex)
     spectra = mean_products(transforms)
     second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
     periodograms = np.abs(transforms) ** 2
@@ -67,8 +60,8 @@ def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> Ju
     leaked = 0.5 * float(np.abs(LEAKAGE_OFFSETS).max()) * (hz[1] - hz[0])
     first, past = np.searchsorted(hz, [np.exp(-flat_from) + leaked, np.exp(flat_to) - leaked])
     if past - first < 2:
-        return JudgedBand(slice(0, hz.size))
-    return JudgedBand(slice(int(first), int(past)), (float(np.exp(-begin)), float(np.exp(end))))
+        return whole
+    return whole.part(slice(int(first), int(past)), (float(np.exp(-begin)), float(np.exp(end))))
 
 
 def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) -> tuple[float, float] | None:

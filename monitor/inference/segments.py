@@ -18,7 +18,7 @@ from monitor.inference import input_response
 from monitor.inference.arrays import Transforms
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive, Input
-from monitor.inference.judged_band import JudgedBand, find_judged_band
+from monitor.inference.judged_band import find_judged_band
 from monitor.signals import (
     Conditioner,
     Drift,
@@ -140,7 +140,7 @@ class Segments:
             values=self.values[:, chosen],
             above=self.above + 2.0 * self.band.bin_hz * higher,
             drift=None if self.drift is None else self.drift[chosen],
-            band=self.band.part(JudgedBand(chosen, self.band.forces_hz)),
+            band=self.band.part(chosen, self.band.forces_hz),
         )
 
     def with_inputs(self) -> Annotated[ComplexArray, "segments bins streams"]:
@@ -191,8 +191,7 @@ def gather(
         )
     # What shakes the structure is known where inputs were measured, and has to be found in the response elsewhere.
     shown = transforms[:, first : last + 1] if drive is None else drive.measured(whole)
-    judged = find_judged_band(np.asarray(shown / np.sqrt(whole.gain)[:, None], dtype=complex), whole.hz)
-    band = whole.part(judged)
+    band = find_judged_band(shown, whole)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     drifts = sensor_drift.find_drift(transforms[:, : last + 1], first)
     drift = sensor_drift.density(drifts, whole.n_bins, len(front_end.channels))
@@ -217,7 +216,7 @@ def gather(
             *(_left_out_of_drift(d, front_end.channels[d.channel], whole) for d in drifts),
             *_hum(transforms, floors),
         ),
-        drift=None if drift is None else drift[judged.judged],
+        drift=None if drift is None else drift[band.first - first :][: band.n_bins],
     )
     return replace(segments.part(covered), drive=drive)
 
