@@ -18,7 +18,7 @@ from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.story_forces import StoryLaw
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.diagnosis.witness import NOT_DETERMINED
-from monitor.inference import ParameterLayout, Segments
+from monitor.inference import Segments
 from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
 
@@ -142,13 +142,8 @@ def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:
     # Scaled by their own units: the precision of a law's size in N/m^3 is of the order of 1e-24, which would pass for zero.
     unit = np.maximum(np.diag(prior.precision), 1e-300) ** -0.5
     variance = unit**2 * np.diag(np.linalg.pinv(prior.precision * np.outer(unit, unit), hermitian=True))
-    first, out = ParameterLayout.of(prior).persistent.start, []
-    for effect in prior.effects(prior.mean):
-        n = len(effect.parameters)
-        std = np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), effect.form_std)
-        out.append(_described(Cause.of(effect, std), prior))
-        first += n
-    return out
+    own = zip(prior.effects(prior.mean), prior.persistent_parts(np.sqrt(np.maximum(variance, 0.0))), strict=True)
+    return [_described(Cause.of(effect, np.hypot(std, effect.form_std)), prior) for effect, std in own]
 
 
 def _finite(value: float) -> float:

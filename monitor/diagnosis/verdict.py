@@ -45,10 +45,8 @@ class Cause:
     @classmethod
     def of(cls, effect: Effect, deviation: Annotated[Array, "p"]) -> Self:
         """Make a cause of an effect and the standard deviations of its coordinates."""
-        std = {}
-        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
-        return cls(effect, std)
+        values, own = effect.values(), zip(effect.parameters, deviation.tolist(), strict=True)
+        return cls(effect, {p.name: min(std * p.slope(values[p.name]), 1e300) for p, std in own})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
