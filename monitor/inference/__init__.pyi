@@ -1,5 +1,5 @@
 from .corrected_posterior import CorrectedPosterior as CorrectedPosterior, correct_posterior as correct_posterior
-from .cross_spectra import Band as Band, extra_mode_spectra as extra_mode_spectra
+from .cross_spectra import extra_mode_spectra as extra_mode_spectra
 from .driven_posterior import DrivenPosterior as DrivenPosterior
 from .exact_simulation import (
     draw_forces as draw_forces,
@@ -38,7 +38,7 @@ from .posterior import (
     join_coordinates as join_coordinates,
     with_coordinates as with_coordinates,
 )
-from .segments import LeftOut as LeftOut, Segments as Segments, gather as gather
+from .segments import Segments as Segments, gather as gather
 from .starting_point import guess_levels as guess_levels, make_posterior as make_posterior
 from .system_slopes import unpacked as unpacked
 from .trial import require_finite as require_finite, tried as tried
