@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference import FORCE_STD, MapEstimate, Posterior, Prediction, fit_levels, spectra_by_force, unpacked
+from monitor.inference import (
+    FORCE_STD,
+    Band,
+    MapEstimate,
+    Posterior,
+    Prediction,
+    fit_levels,
+    spectra_by_force,
+    unpacked,
+)
 from monitor.model import ModelDiscrepancy
 from monitor.signals import overlap_correlation
 
@@ -96,7 +105,7 @@ def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior:
     c = posterior.observed.spectra.shape[-1]
     bins = posterior.observed.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
-    per = _bins_per_band(posterior)
+    per = _bins_per_band(posterior.observed.band)
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
     matrix = unpacked(z.T)
@@ -105,9 +114,9 @@ def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior:
     )
 
 
-def _bins_per_band(posterior: Posterior) -> int:
+def _bins_per_band(band: Band) -> int:
     """Compute the number of bins that are summed in a band."""
-    return max(1, round(_TEST_BAND_HZ / posterior.observed.band.bin_hz))
+    return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 
 def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Misfit, Misfit, Bands]:
@@ -152,7 +161,7 @@ def wrong_bins(
     """Select the frequency bins that lie in bands where the model is wrong."""
     z, drift, _ = _deviations(posterior, fitted)
     wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
-    bins = np.repeat(wrong, _bins_per_band(posterior))
+    bins = np.repeat(wrong, _bins_per_band(posterior.observed.band))
     return np.pad(bins, (0, posterior.observed.band.n_bins - bins.size))
 
 
@@ -162,7 +171,7 @@ def lack_of_fit_cost(posterior: Posterior, misfit: Sequence[LackOfFit]) -> float
     The cost of a small deviation is half its square.  Of a large one, as of power that is many times the model's, the likelihood
     counts the first power only.
     """
-    many = np.sqrt(posterior.observed.pieces(_bins_per_band(posterior)))
+    many = np.sqrt(posterior.observed.pieces(_bins_per_band(posterior.observed.band)))
     return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
 
 
@@ -176,7 +185,7 @@ def estimate_model_discrepancy(
     size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
     if size.max(initial=0.0) <= settings.misfit:
         return None
-    per, bins = _bins_per_band(posterior), max(1, round(_CORRECTION_BAND_HZ / e.band.bin_hz))
+    per, bins = _bins_per_band(posterior.observed.band), max(1, round(_CORRECTION_BAND_HZ / e.band.bin_hz))
     n = hz.size * per // bins
     prediction = posterior.predict(fitted.x, fitted.effects)
     inverse = np.linalg.inv(np.linalg.cholesky(prediction.spectra))

@@ -1,5 +1,5 @@
 from .corrected_posterior import CorrectedPosterior as CorrectedPosterior, correct_posterior as correct_posterior
-from .cross_spectra import extra_mode_spectra as extra_mode_spectra
+from .cross_spectra import Band as Band, extra_mode_spectra as extra_mode_spectra
 from .driven_posterior import DrivenPosterior as DrivenPosterior
 from .exact_simulation import (
     draw_forces as draw_forces,
