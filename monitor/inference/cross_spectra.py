@@ -238,7 +238,8 @@ def _response(
     the floors alone, which sum up to that of the ground's own acceleration.
     """
     floors = _floor_response(mass, damping, stiffness, columns, hz)
-    return np.asarray(_at_sensors(floors, sensors, of_floors.shape[1], of_floors.sum(axis=1)))
+    shares = np.ascontiguousarray(sensors, dtype=float)
+    return np.asarray(_at_sensors(floors, shares, of_floors.shape[1], of_floors.sum(axis=1)))
 
 
 def _kept(compute: Callable[..., T]) -> Callable[..., T]:
