@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +10,7 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.plan import plan_of
 from monitor.inference import DrivenPosterior, MapEstimate, Posterior, with_coordinates
+from monitor.signals import NORMAL_MAD
 
 _FIRST_MODE_BAND = 0.6, 1.6
 """Band in which the first mode's equation of motion is fitted, over the first frequency. [ratio; judgement]"""
@@ -19,36 +19,20 @@ _MAX_LEFT_POWER = 0.1
 judgement]"""
 _MIN_SEGMENTS = 6
 """Fewest segments from which a dependence on amplitude is stated. [segments; judgement]"""
-_MEDIAN_STD_FACTOR = 1.4826 * 1.2533
-"""Standard deviation of a normal sample's median times the root of the sample's size, over the median absolute
-deviation. [1; definition: normal distribution]"""
 _MIN_RELATIVE_CHANGE = 0.004
 """Smallest relative change of a frequency or damping ratio that is reported. [ratio; judgement]"""
 _MIN_CHANGE_STDS = 6.0
 """Smallest such change in standard deviations. [standard deviations; judgement]"""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Backbone:
-    """Backbone curve: the first frequency of every segment that shows it clearly, by the amplitude of the motion."""
-
-    amplitude_m: Annotated[Array, "n"]
-    """Peak displacement of the top floor in the first mode relative to the ground, sqrt(2) x RMS; ascending."""
-    hz: Annotated[Array, "n"]
-    """First frequency of the measured motion."""
-    model_hz: Annotated[Array, "n"]
-    """First frequency of the model's response."""
-
-
-def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
-    """Estimate the first mode's frequency in every segment.
+def _backbone(posterior: DrivenPosterior, fit: MapEstimate) -> list[tuple[float, float, float]]:
+    """Estimate the first mode's frequency in every segment that shows it clearly, by ascending amplitude.
 
     In each segment ``y'' + 2 zeta w y' + w^2 y = gamma u`` is solved by least squares in the frequency domain.  Here y is the
-    floors' motion relative to the ground in the first mode, and u is the force of all inputs on that mode.  None where too few
-    segments show the mode, or where no input was measured.
+    floors' motion relative to the ground in the first mode, and u is the force of all inputs on that mode.  A row has the peak
+    displacement of the top floor in the first mode, m, sqrt(2) x RMS, and the first frequencies of the measured motion and of
+    the model's response, Hz.
     """
-    if not isinstance(posterior, DrivenPosterior):
-        return None
     e, drive, mean = posterior.observed, posterior.drive, posterior.mean(fit.x, fit.effects)
     effects = posterior.effects(fit.x, fit.effects)
     system, modes = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes()
@@ -66,10 +50,7 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
         model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - r, u, w)
         if max(unexplained, model_unexplained) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
-    if len(rows) < _MIN_SEGMENTS:
-        return None
-    columns = np.array(sorted(rows)).T
-    return Backbone(*columns)
+    return sorted(rows)
 
 
 def _fit_oscillator(
@@ -91,31 +72,35 @@ def _fit_oscillator(
 def median_with_std(values: Annotated[Array, "n"]) -> tuple[float, float]:
     """Compute the median of values, and its standard deviation from their scatter."""
     middle = float(np.median(values))
-    return middle, _MEDIAN_STD_FACTOR * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
+    # That of a normal sample's median is sqrt(pi / 2) times that of its mean.
+    return middle, NORMAL_MAD * 1.2533 * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
 
 
-def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
+def find_level_dependence(posterior: Posterior, fit: MapEstimate) -> LackOfFit | None:
     """Test if the first frequency depends on the amplitude more than the model's does; return None where it does not.
 
-    The medians of the third of the segments with the smallest amplitudes and of the third with the largest are compared.
+    The medians of the third of the segments with the smallest amplitudes and of the third with the largest are compared.  None
+    too where too few segments show the mode, or where no input was measured.
     """
-    if found is None:
+    rows = _backbone(posterior, fit) if isinstance(posterior, DrivenPosterior) else []
+    if len(rows) < _MIN_SEGMENTS:
         return None
-    third = max(2, found.hz.size // 3)
+    columns = _, hz, model_hz = np.array(rows).T
+    third = max(2, hz.size // 3)
     low, high = slice(0, third), slice(-third, None)
-    difference = found.hz - found.model_hz
+    difference = hz - model_hz
     # Medians and their scatter, since the frequency is uncertain in a segment in which a strong motion begins or ends.
     (quiet, quiet_std), (loud, loud_std) = (median_with_std(difference[part]) for part in (low, high))
     change, std = loud - quiet, float(np.hypot(quiet_std, loud_std)) + 1e-9
-    if abs(change) < _MIN_RELATIVE_CHANGE * found.hz.mean() or abs(change) < _MIN_CHANGE_STDS * std:
+    if abs(change) < _MIN_RELATIVE_CHANGE * hz.mean() or abs(change) < _MIN_CHANGE_STDS * std:
         return None
-    ends = [[float(np.median(x[s])) for x in (found.amplitude_m, found.hz, found.model_hz)] for s in (low, high)]
+    ends = [[float(np.median(x[s])) for x in columns] for s in (low, high)]
     (a, f, m), (b, g, n) = ends
     text = (
         f"the first mode {'falls' if g < f else 'rises'} with the level, from {f:.2f} Hz at {1e3 * a:.2g} mm of the top "
         f"floor to {g:.2f} Hz at {1e3 * b:.2g} mm; in the model from {m:.2f} to {n:.2f} Hz"
     )
-    return LackOfFit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, text)
+    return LackOfFit(f"f = {min(hz):.1f}-{max(hz):.1f} Hz, first mode", abs(change) / std, text)
 
 
 def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | None:

@@ -20,8 +20,6 @@ _STEPS_A_CYCLE = 4
 alias]"""
 _RESOLUTION = 1e-3
 """Resolution of the rate, over the step between the trial rates. [ratio; rounding]"""
-_DIAGONAL_ROUNDING = 1e-12
-"""Least eigenvalue of the other channels' coherence matrix. [1; rounding]"""
 _MIN_STREAMS = 3
 """Fewest channels, the inputs included, among which one clock can be told from the others'. [count; definition]"""
 
@@ -158,7 +156,7 @@ def _estimate_drifts(segments: Segments) -> list[ClockDrift]:
     out = []
     for j in range(c):
         own, others = streams[:, :, j], np.delete(streams, j, axis=2)
-        spectra = np.einsum("sfa,sfb->fab", others, others.conj()) + _DIAGONAL_ROUNDING * np.eye(c - 1)
+        spectra = np.einsum("sfa,sfb->fab", others, others.conj()) + 1e-12 * np.eye(c - 1)
         whitened = np.einsum("fla,sfa->sfl", np.linalg.inv(np.linalg.cholesky(spectra)), others)
         cross = np.einsum("sfl,sf->fsl", whitened.conj(), own)
         profile = _Profile(cross, hz, segments.t_s, 1.0 / segments.band.bin_hz)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from monitor.core import Array, ComplexArray, parallel_map
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.drawing_refit import withdraw_other_structure
 from monitor.diagnosis.fold_refit import refit_form
 from monitor.diagnosis.predictive_score import Score, csd_error, score
@@ -84,114 +84,99 @@ class HeldOutGain:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Blocks:
-    """Division of a recording into contiguous blocks."""
+class HeldOut:
+    """A recording in contiguous blocks, parts of which are held out in turn, and how a diagnosis's extended form predicts them.
 
-    of_segment: Annotated[NDArray[np.intp], "segments"]
-    """Block of every segment, -1 for one that straddles a border."""
-    n: int
-    length_s: float
-
-    @property
-    def folds(self) -> int:
-        """Number of fits by which every block is held out once."""
-        return min(_N_FOLDS, self.n)
-
-    def held(self, fold: int) -> Annotated[NDArray[np.bool_], "segments"]:
-        """Select the segments that a fold holds out."""
-        return np.asarray((self.of_segment >= 0) & (self.of_segment % self.folds == fold))
-
-    def others(self, held: Annotated[NDArray[np.bool_], "segments"]) -> Annotated[NDArray[np.bool_], "segments"]:
-        """Select the segments that a fold is fitted to."""
-        return (self.of_segment >= 0) & ~held
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Folds:
-    """A recording and its parts that are held out in turn."""
-
-    segments: Segments
-    blocks: _Blocks
-    parts: tuple[Annotated[NDArray[np.bool_], "segments"], ...]
-    """Masks of the segments that are held out together; none where the recording is too short."""
-
-    @classmethod
-    def of(cls, segments: Segments) -> Self:
-        """Divide a recording."""
-        blocks = _cut_blocks(segments)
-        parts = tuple(blocks.held(fold) for fold in range(blocks.folds))
-        return cls(segments, blocks, () if any(np.count_nonzero(held) < 2 for held in parts) else parts)
-
-    def score(self, diagnosis: Diagnosis, form: MapEstimate) -> list[Score]:
-        """Score a form of a diagnosis on each part, fitted to the others."""
-
-        def scored(held: NDArray[np.bool_]) -> Score:
-            others = self.blocks.others(held)
-            label = diagnosis.posterior.observed.label[others]
-            part = classify(self.segments.part(others), label)
-            # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
-            part = replace(part, counts=part.counts * self.segments.t_s.size / part.counts.sum())
-            model, excitation = refit_form(part, diagnosis, form, np.unique(label))
-            context, degc = diagnosis.posterior.context, diagnosis.posterior.prior.reference_degc
-            return score(self.segments, model, context, degc, held, excitation)
-
-        return parallel_map(scored, self.parts)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scored:
-    """A diagnosis, and the scores of its extended form on each part that is held out."""
-
-    folds: _Folds
-    diagnosis: Diagnosis
-    extended: list[Score]
-    """Empty without causes, or where the recording is too short."""
-
-    @classmethod
-    def of(cls, folds: _Folds, diagnosis: Diagnosis) -> Self:
-        """Score the extended form."""
-        form = diagnosis.final_fit
-        return cls(folds, diagnosis, folds.score(diagnosis, form) if form.effects else [])
-
-    def gain_over(self, form: MapEstimate) -> HeldOutGain:
-        """Measure the gain over a form without some of the effects, fitted to the whole recording."""
-        if not self.diagnosis.final_fit.effects:
-            return HeldOutGain()
-        if not self.extended:
-            return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
-        blocks, segments = self.folds.blocks, self.folds.segments
-        nats, samples = np.zeros((2, blocks.n)), np.zeros(blocks.n)
-        of_spectra = (len(self.extended), 2, 2, *segments.values.shape[1:], segments.values.shape[2])
-        spectra = np.zeros(of_spectra, dtype=complex)
-        scores = zip(self.folds.score(self.diagnosis, form), self.extended, strict=True)
-        for of_fold, held, of_both in zip(spectra, self.folds.parts, scores, strict=True):
-            of_held = blocks.of_segment[held]
-            for i, form_score in enumerate(of_both):
-                nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
-                of_fold[i] = np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
-            samples += np.bincount(of_held, minlength=blocks.n) * (of_both[0].samples / np.count_nonzero(held))
-        gain = _summarize_scores(nats, samples, spectra, blocks)
-        return replace(gain, calibration=calibration_nats(self.diagnosis, form) / float(samples.sum()))
-
-    def is_confirmed_over(self, form: MapEstimate) -> bool:
-        """Decide if the effects that a form lacks gain over it."""
-        added = self.diagnosis.final_fit.effects[len(form.effects) :]
-        return confirms(self.diagnosis, added, self.gain_over(form))
-
-
-def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
-    """Measure the gain of a diagnosis's extended model over the old form on blocks that neither was fitted to.
-
-    The recording is cut into contiguous blocks.  Both forms are scored on every fourth of them, fitted to the others, four times
-    over (every second one where the recording is short).  A segment that straddles a border belongs to no block.  A text stands
-    in place of numbers where nothing was added to the model, or the recording is too short.
+    A form is scored on every fourth block, fitted to the others, four times over (every second one where the recording is short).
 
     References
     ----------
     D. Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure,
     Ecography 40 (2017) 913 (blocks in place of single samples).
     """
-    return _Scored.of(_Folds.of(segments), diagnosis).gain_over(diagnosis.null_fit)
+
+    segments: Segments
+    diagnosis: Diagnosis
+    block: Annotated[NDArray[np.intp], "segments"]
+    """Block of every segment, -1 for one that straddles a border."""
+    n_blocks: int
+    length_s: float
+    extended: list[Score] = field(default_factory=list)
+    """Scores of the extended form on each part; none without causes, or where the recording is too short."""
+
+    @classmethod
+    def of(cls, segments: Segments, diagnosis: Diagnosis) -> Self:
+        """Divide a recording, and score the extended form."""
+        half = 0.5 / segments.band.bin_hz
+        start, end = segments.t_s.min() - half, segments.t_s.max() + half
+        n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
+        n = _N_FOLDS * (n // _N_FOLDS) or 2
+        length = (end - start) / n
+        first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
+        last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
+        divided = cls(segments, diagnosis, np.where(first == last, first, -1), n, float(length))
+        form = diagnosis.final_fit
+        return replace(divided, extended=divided.score(form) if form.effects else [])
+
+    @property
+    def n_parts(self) -> int:
+        """Number of fits by which every block is held out once."""
+        return min(_N_FOLDS, self.n_blocks)
+
+    @property
+    def parts(self) -> list[Annotated[NDArray[np.bool_], "segments"]]:
+        """Masks of the segments that are held out together; none where the recording is too short."""
+        n = self.n_parts
+        parts = [(self.block >= 0) & (self.block % n == i) for i in range(n)]
+        return [] if any(np.count_nonzero(held) < 2 for held in parts) else parts
+
+    def score(self, form: MapEstimate) -> list[Score]:
+        """Score a form on each part, fitted to the others."""
+        posterior, segments = self.diagnosis.posterior, self.segments
+
+        def scored(held: NDArray[np.bool_]) -> Score:
+            others = (self.block >= 0) & ~held
+            label = posterior.observed.label[others]
+            part = classify(segments.part(others), label)
+            # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
+            part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
+            model, excitation = refit_form(part, self.diagnosis, form, np.unique(label))
+            return score(segments, model, posterior.context, posterior.prior.reference_degc, held, excitation)
+
+        return parallel_map(scored, self.parts)
+
+    def gain_over(self, form: MapEstimate) -> HeldOutGain:
+        """Measure the gain over a form without some of the effects, fitted to the whole recording.
+
+        A text stands in place of numbers where nothing was added to the model, or the recording is too short.
+        """
+        if not self.diagnosis.final_fit.effects:
+            return HeldOutGain()
+        if not self.extended:
+            return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
+        n = self.n_blocks
+        nats, samples, spectra = np.zeros((2, n)), np.zeros(n), []
+        for held, *of_both in zip(self.parts, self.score(form), self.extended, strict=True):
+            of_held, n_held = self.block[held], np.count_nonzero(held)
+            for i, form_score in enumerate(of_both):
+                nats[i] += np.bincount(of_held, form_score.nats, n)
+            spectra.append([n_held * np.stack([one.measured, one.modelled]) for one in of_both])
+            samples += np.bincount(of_held, minlength=n) * (of_both[0].samples / n_held)
+        gains, whole, total = nats[1] - nats[0], np.sum(spectra, axis=0), samples.sum()
+        blocks = (
+            f"{n} contiguous blocks of {self.length_s:.0f} s, every {_ORDINAL[self.n_parts]} by a fit to the others"
+        )
+        return HeldOutGain(
+            before=float(nats[0].sum() / total),
+            after=float(nats[1].sum() / total),
+            ci95=_bootstrap_interval(gains, samples),
+            nats=float(gains.sum()),
+            csd_error_before=csd_error(*whole[0]),
+            csd_error_after=csd_error(*whole[1]),
+            csd_error_rises=all(csd_error(*after) > csd_error(*before) for before, after in spectra),
+            heldout=blocks,
+            calibration=calibration_nats(self.diagnosis, form) / float(total),
+        )
 
 
 def calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
@@ -201,32 +186,6 @@ def calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
     if not prior.is_baseline:
         return 0.0
     return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(without.x[structure])
-
-
-def _summarize_scores(
-    nats: Annotated[Array, "2 blocks"],
-    samples: Annotated[Array, "blocks"],
-    spectra: Annotated[ComplexArray, "folds 2 2 bins c c"],
-    blocks: _Blocks,
-) -> HeldOutGain:
-    """Sum up the blocks' scores.
-
-    `nats` has the old and the extended form; `spectra` has for every part held out, and for both forms, measured and modelled
-    cross-spectra.
-    """
-    total, whole = samples.sum(), spectra.sum(axis=0)
-    ci95 = _bootstrap_interval(nats[1] - nats[0], samples)
-    return HeldOutGain(
-        before=float(nats[0].sum() / total),
-        after=float(nats[1].sum() / total),
-        ci95=ci95,
-        nats=float((nats[1] - nats[0]).sum()),
-        csd_error_before=csd_error(*whole[0]),
-        csd_error_after=csd_error(*whole[1]),
-        csd_error_rises=all(csd_error(*after) > csd_error(*before) for before, after in spectra),
-        heldout=f"{blocks.n} contiguous blocks of {blocks.length_s:.0f} s, every {_ORDINAL[blocks.folds]} by a fit to "
-        "the others",
-    )
 
 
 def _bootstrap_interval(gains: Annotated[Array, "blocks"], samples: Annotated[Array, "blocks"]) -> tuple[float, float]:
@@ -240,31 +199,10 @@ def _bootstrap_interval(gains: Annotated[Array, "blocks"], samples: Annotated[Ar
     drawn = np.random.default_rng(0).integers(0, n, (_N_BOOTSTRAPS, n))
     means = gains[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
     value = gains.sum() / samples.sum()
-    low, high = value + _bootstrap_widening(n) * (np.quantile(means, [0.025, 0.975]) - value)
+    # From few blocks the interval is too narrow.  That from two is their range, which is no 95 % interval.
+    widening = 1.0 if n < _N_FOLDS else float(stdtrit(n - 1, 0.975) / ndtri(0.975) * np.sqrt(n / (n - 1)))
+    low, high = value + widening * (np.quantile(means, [0.025, 0.975]) - value)
     return float(low), float(high)
-
-
-def _bootstrap_widening(n_blocks: int) -> float:
-    """Compute the factor by which a bootstrap interval from few blocks must be widened.
-
-    The factor is Student's t over the normal quantile, times the root of n / (n - 1).  The interval from two blocks is their
-    range, which is no 95 % interval, so it is not widened.
-    """
-    if n_blocks < _N_FOLDS:
-        return 1.0
-    return float(stdtrit(n_blocks - 1, 0.975) / ndtri(0.975) * np.sqrt(n_blocks / (n_blocks - 1)))
-
-
-def _cut_blocks(segments: Segments) -> _Blocks:
-    """Divide a recording into contiguous blocks of equal length."""
-    half = 0.5 / segments.band.bin_hz
-    start, end = segments.t_s.min() - half, segments.t_s.max() + half
-    n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
-    n = _N_FOLDS * (n // _N_FOLDS) or 2
-    length = (end - start) / n
-    first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
-    last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
-    return _Blocks(np.where(first == last, first, -1), n, float(length))
 
 
 def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagnosis, HeldOutGain]:
@@ -282,10 +220,10 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     shorter = [diagnosis]
     while len(effects := shorter[-1].final_fit.effects) > 1 and not effects[-1].repeatable:
         shorter.append(withdraw_other_structure(shorter[-1].without_last_cause()))
-    folds = _Folds.of(segments)
     for n_withdrawn, found in enumerate(shorter):
-        scored = _Scored.of(folds, found)
-        if all(scored.is_confirmed_over(rest.final_fit) for rest in shorter[n_withdrawn + 1 :]):
+        scored, forms = HeldOut.of(segments, found), [rest.final_fit for rest in shorter[n_withdrawn + 1 :]]
+        added = [found.final_fit.effects[len(form.effects) :] for form in forms]
+        if all(confirms(found, a, scored.gain_over(form)) for a, form in zip(added, forms, strict=True)):
             gain = scored.gain_over(found.null_fit)
             if confirms(found, found.final_fit.effects, gain):
                 return found, gain if found.verdict != "none" else HeldOutGain()

@@ -9,9 +9,6 @@ from monitor.diagnosis.score_test import parameter_cost, whitened_slope
 from monitor.inference import MapEstimate, Posterior
 from monitor.model import EFFECTS, Effect, inverse, locations
 
-_ONE_SIDED_95 = 1.645
-"""Quantile of the standard normal distribution for a probability of 95 %. [standard deviations; definition]"""
-
 
 def detectable_losses(posterior: Posterior, fit: MapEstimate, margin: float) -> list[float | None]:
     """Compute the smallest relative loss of each story that the search would find in 95 % of recordings like this one.
@@ -30,7 +27,7 @@ def detectable_losses(posterior: Posterior, fit: MapEstimate, margin: float) -> 
         v = whitened_slope(posterior, fit, prediction, effect)
         along = tangent.along(v)
         information = float(v @ v - along @ normal @ along)
-        stds = np.sqrt(2.0 * needed) + _ONE_SIDED_95
+        stds = np.sqrt(2.0 * needed) + 1.645  # quantile of 95 %
         size = stds * float(abs(effect.coordinates[0])) / np.sqrt(max(information, 1e-9))
         return size if size < 1.0 else None
 

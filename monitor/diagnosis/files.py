@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import tomlkit
 from scipy.special import logsumexp
 from tomlkit.items import AoT
 
-from monitor.core import Array
+from monitor.core import Array, encode
+from monitor.diagnosis import wording
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.story_forces import StoryLaw
-from monitor.diagnosis.verdict import Diagnosis
+from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.diagnosis.witness import NOT_DETERMINED
-from monitor.diagnosis.wording import (
-    band_in_words,
-    contradicted,
-    headline,
-    in_words,
-    law_family,
-    separating_measurement,
-)
-from monitor.inference import LeftOut, ParameterLayout, Segments
+from monitor.inference import Segments
 from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
 
@@ -46,9 +39,10 @@ def content(
     `other_optima` and `story_laws`; with a baseline nothing is refitted, and there are no other optima.
     """
     prior = diagnosis.posterior.prior
-    causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
+    e = prior.error
+    causes = [_described(c, prior) for c in diagnosis.causes]
     alternatives = [_alternative(c, share, prior) for c, share in diagnosis.alternatives]
-    family = law_family(alternatives)
+    family = wording.law_family(alternatives)
     stated = {(e.name, e.location) for e in known}
     out: dict[str, Any] = {
         "verdict": diagnosis.verdict,
@@ -57,26 +51,35 @@ def content(
         "alternatives": alternatives,
         "family": family,
         "family_log_odds": None if family is None else _finite(_family_log_odds(diagnosis, family)),
-        "also_fitted": [_cause(c.effect, c.std, prior) for c in diagnosis.also_fitted],
-        "separating_measurement": separating_measurement(alternatives),
+        "also_fitted": [_described(c, prior) for c in diagnosis.also_fitted],
+        "separating_measurement": wording.separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
-        "gain": _gain(gain),
+        "gain": {
+            "log_score_per_sample": {
+                "before": gain.before,
+                "after": gain.after,
+                "gain": gain.value,
+                "ci95": list(gain.ci95),
+            },
+            "csd_error": {"before": gain.csd_error_before, "after": gain.csd_error_after},
+            "heldout": gain.heldout,
+        },
         "standing": [c for c in standing_causes(prior) if (c["effect"], c["location"]) not in stated],
-        "standing_misfit": _standing_misfit(prior),
+        "standing_misfit": None if e is None else {"bands_hz": e.doubtful_hz(), "says": wording.contradicted(e)},
         "tried": [
             {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.log_evidence)}
             for c in diagnosis.candidates
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "band": _band(diagnosis.posterior.observed.segments, prior),
-        "left_out": [_left_out(item) for item in diagnosis.posterior.observed.segments.left_out],
+        "left_out": encode(diagnosis.posterior.observed.segments.left_out),
         "story_laws": [_story_law(law) for law in laws],
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "other_optima": list(optima),
         "detectable_loss": list(detectable_loss),
     }
-    return {**out, "says": headline(diagnosis, gain, out)}
+    return {**out, "says": wording.headline(diagnosis, gain, out)}
 
 
 def _family_log_odds(diagnosis: Diagnosis, family: LawFamily) -> float:
@@ -92,7 +95,7 @@ def _family_log_odds(diagnosis: Diagnosis, family: LawFamily) -> float:
 def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:
     """Describe the band that was judged, within that of ``[processing]``."""
     judged_hz, processing_hz = ([float(f) for f in band.hz[[0, -1]]] for band in (segments.band, segments.whole))
-    return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": band_in_words(segments, prior)}
+    return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": wording.band_in_words(segments, prior)}
 
 
 def _story_law(law: StoryLaw) -> dict[str, Any]:
@@ -107,26 +110,16 @@ def _story_law(law: StoryLaw) -> dict[str, Any]:
     return {"location": f"story {law.story}", **numbers, "says": law.says}
 
 
-def _left_out(item: LeftOut) -> dict[str, Any]:
-    """Describe data that were not compared because a sensor's fault rules them."""
-    hz = [[low, high] for low, high in item.hz]
-    return {"kind": item.kind, "channel": item.channel, "seconds": item.seconds, "hz": hz, "says": item.says}
-
-
-def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:
-    """Describe a cause with its parameters, their standard deviations and a sentence."""
-    sizes = {name: {"value": _finite(v), "std": _finite(std[name])} for name, v in effect.values().items()}
-    return _described(effect, sizes, prior)
-
-
-def _described(effect: Effect, sizes: Mapping[str, Mapping[str, float]], prior: StructuralPrior) -> dict[str, Any]:
+def _described(cause: Cause, prior: StructuralPrior) -> dict[str, Any]:
     """Describe an effect; the shape of a mode stands apart from its parameters, its largest component 1."""
+    effect = cause.effect
+    sizes = {name: {"value": _finite(v), "std": _finite(cause.std[name])} for name, v in effect.values().items()}
     named = {p.name for p in type(effect).parameters}
     out: dict[str, Any] = {
         "effect": effect.name,
         "location": effect.location,
         "parameters": {name: size for name, size in sizes.items() if name in named},
-        "says": in_words(effect.name, effect.location, sizes, prior),
+        "says": wording.in_words(effect.name, effect.location, sizes, prior),
     }
     shape = [size for name, size in sizes.items() if name.startswith("shape_")]  # a coupled mode has more of its own
     if shape:
@@ -140,8 +133,8 @@ def _alternative(candidate: Candidate, probability: float, prior: StructuralPrio
     effect = candidate.effect
     n = len(effect.parameters)
     variance = np.diag(candidate.fit.covariance)[candidate.fit.x.size - n :]
-    sizes = _sizes(effect, np.sqrt(np.maximum(variance, 0.0)))
-    return {**_described(effect, sizes, prior), "probability": probability}
+    cause = Cause.of(effect, np.sqrt(np.maximum(variance, 0.0)))
+    return {**_described(cause, prior), "probability": probability}
 
 
 def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:
@@ -149,40 +142,13 @@ def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:
     # Scaled by their own units: the precision of a law's size in N/m^3 is of the order of 1e-24, which would pass for zero.
     unit = np.maximum(np.diag(prior.precision), 1e-300) ** -0.5
     variance = unit**2 * np.diag(np.linalg.pinv(prior.precision * np.outer(unit, unit), hermitian=True))
-    first, out = ParameterLayout.of(prior).persistent.start, []
-    for effect in prior.effects(prior.mean):
-        n = len(effect.parameters)
-        sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), effect.form_std))
-        out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, prior))
-        first += n
-    return out
-
-
-def _standing_misfit(prior: StructuralPrior) -> dict[str, Any] | None:
-    """Describe the lack of fit that calibration left unexplained; return None where there is none."""
-    error = prior.error
-    return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
-
-
-def _sizes(effect: Effect, deviation: Annotated[Array, "p"]) -> dict[str, dict[str, float]]:
-    """Convert standard deviations of an effect's coordinates to values and standard deviations of its parameters."""
-    out = {}
-    for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
-        value = float(effect.values()[p.name])
-        out[p.name] = {"value": _finite(value), "std": _finite(d * p.slope(value))}
-    return out
+    own = zip(prior.effects(prior.mean), prior.persistent_parts(np.sqrt(np.maximum(variance, 0.0))), strict=True)
+    return [_described(Cause.of(effect, np.hypot(std, effect.form_std)), prior) for effect, std in own]
 
 
 def _finite(value: float) -> float:
     """Clip a number to the finite range of JSON; a NaN becomes the largest number."""
     return float(np.clip(np.nan_to_num(value, nan=NOT_DETERMINED), -NOT_DETERMINED, NOT_DETERMINED))
-
-
-def _gain(gain: HeldOutGain) -> dict[str, Any]:
-    """Describe the gain on held-out data."""
-    score = {"before": gain.before, "after": gain.after, "gain": gain.value, "ci95": list(gain.ci95)}
-    error = {"before": gain.csd_error_before, "after": gain.csd_error_after}
-    return {"log_score_per_sample": score, "csd_error": error, "heldout": gain.heldout}
 
 
 def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]:

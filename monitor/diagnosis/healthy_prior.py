@@ -13,7 +13,7 @@ from monitor.diagnosis.lack_of_fit import estimate_model_discrepancy
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.inference import ObservedSpectra, ParameterLayout, Posterior
+from monitor.inference import ObservedSpectra, ParameterLayout
 from monitor.model import Context, StructuralPrior, correction_basis, inverse
 
 _FIXED_STD = 1e-4
@@ -73,7 +73,9 @@ def learn_prior(
     discrepancy, covariance = estimate_model_discrepancy(posterior, fitted, settings), fitted.covariance
     if discrepancy is not None:
         wider = replace(wider, error=discrepancy)
-        covariance = _covariance(replace(posterior, prior=wider), fitted.x)
+        posterior = replace(posterior, prior=wider)
+        slopes = posterior.linearized(fitted.x, (), posterior.predict(fitted.x, ()))[0]
+        covariance = inverse(slopes.information + posterior.normal_prior(fitted.x, ())[1])
     structure, forces = posterior.layout.structure, fitted.x[posterior.layout.forces]
     precision = inverse(covariance[structure, structure])
     learnt = replace(
@@ -87,9 +89,3 @@ def learn_prior(
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(masses).sum()) / m))
     return learnt, first_fit.x
-
-
-def _covariance(posterior: Posterior, x: Annotated[Array, "p"]) -> Annotated[Array, "p p"]:
-    """Compute the covariance of parameters whose posterior has changed since their fit."""
-    slopes = posterior.linearized(x, (), posterior.predict(x, ()))[0]
-    return inverse(slopes.information + posterior.normal_prior(x, ())[1])

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference import FORCE_STD, Band, MapEstimate, Posterior, Prediction, fit_levels, spectra_by_force
+from monitor.inference import (
+    FORCE_STD,
+    Band,
+    MapEstimate,
+    Posterior,
+    Prediction,
+    fit_levels,
+    spectra_by_force,
+    unpacked,
+)
 from monitor.model import ModelDiscrepancy
 from monitor.signals import overlap_correlation
 
@@ -63,7 +72,7 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Misfit:
     predicted, x = prediction.spectra, e.segments.values if prediction.left is None else prediction.left
     parts = spectra_by_force(posterior, fitted.x, fitted.effects)
     signal = parts.sum(axis=0)
-    late = e.t_s > np.median(e.t_s)
+    late = e.segments.t_s > np.median(e.segments.t_s)
     z = []
     for half in (late, ~late):
         model, data, counts = predicted.copy(), predicted.copy(), np.zeros(posterior.n_classes)
@@ -99,15 +108,10 @@ def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior:
     per = _bins_per_band(posterior.observed.band)
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
-    matrix = np.zeros((n, c, c))
-    row = 0
-    for i in range(c):
-        for j in range(i):
-            matrix[:, i, j], matrix[:, j, i] = z[:, row], z[:, row + 1]
-            row += 2
-        matrix[:, i, i] = z[:, row]
-        row += 1
-    return matrix, posterior.observed.band.hz[: n * per].reshape(n, per).mean(axis=1)
+    matrix = unpacked(z.T)
+    return np.tril(matrix.real) - np.triu(matrix.imag), posterior.observed.band.hz[: n * per].reshape(n, per).mean(
+        axis=1
+    )
 
 
 def _bins_per_band(band: Band) -> int:
@@ -181,7 +185,7 @@ def estimate_model_discrepancy(
     size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
     if size.max(initial=0.0) <= settings.misfit:
         return None
-    per, bins = _bins_per_band(e.band), max(1, round(_CORRECTION_BAND_HZ / e.band.bin_hz))
+    per, bins = _bins_per_band(posterior.observed.band), max(1, round(_CORRECTION_BAND_HZ / e.band.bin_hz))
     n = hz.size * per // bins
     prediction = posterior.predict(fitted.x, fitted.effects)
     inverse = np.linalg.inv(np.linalg.cholesky(prediction.spectra))
@@ -277,7 +281,9 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     change, growth = forces - forces.mean() - known, _growth_on_missing_modes(posterior, fitted)
     if has_coupled_modes(posterior) and _is_unlikely(change, known.size - 1, settings):
         size, weakest = float(np.sqrt(change @ change)), int(change.argmin())
-        says = f"the force on floor {weakest + 1} is {_factor(change[weakest])} of its former share"
+        percent = 100.0 * np.exp(0.5 * change[weakest])
+        factor = f"{percent:.2g} %" if percent >= 0.1 else "less than 0.1 %"
+        says = f"the force on floor {weakest + 1} is {factor} of its former share"
     elif growth > 0.0 and _exceeds_chance(0.5 * (growth / FORCE_STD) ** 2, 1, settings):
         size, times = growth, np.exp(0.5 * growth)
         says = (
@@ -285,14 +291,17 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
         )
     else:
         return None
-    return LackOfFit(
+    return _hiding_structure(
         "direction of the forces",
         size / FORCE_STD,
-        f"the forces come from another direction than at calibration ({says}), "
-        "and modes that the model lacks follow them: nothing can be said of the structure",
-        is_explained=True,
-        hides_structure=True,
+        f"the forces come from another direction than at calibration ({says}), and modes that the model lacks follow them",
     )
+
+
+def _hiding_structure(where: str, size: float, says: str) -> LackOfFit:
+    """State a lack of fit whose cause is known, and beside which nothing can be said of the structure."""
+    says += ": nothing can be said of the structure"
+    return LackOfFit(where, size, says, is_explained=True, hides_structure=True)
 
 
 def _growth_on_missing_modes(posterior: Posterior, fitted: MapEstimate) -> float:
@@ -334,20 +343,12 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
         return None
     stiffness = away[: layout.stiffness.stop - layout.stiffness.start]
     farthest = int(np.abs(stiffness).argmax())
-    return LackOfFit(
+    return _hiding_structure(
         "structure of the file",
         float(np.sqrt(2.0 * cost)),
         f"no structure near that of the file explains the recording (fitted, story {farthest + 1} has "
-        f"{100.0 * np.exp(stiffness[farthest]):.2g} % of the file's stiffness): nothing can be said of the structure",
-        is_explained=True,
-        hides_structure=True,
+        f"{100.0 * np.exp(stiffness[farthest]):.2g} % of the file's stiffness)",
     )
-
-
-def _factor(ln_density: float) -> str:
-    """Write the factor on an amplitude, from the logarithm of that on a density, as a percentage."""
-    percent = 100.0 * np.exp(0.5 * ln_density)
-    return f"{percent:.2g} %" if percent >= 0.1 else "less than 0.1 %"
 
 
 def _list_deviations(

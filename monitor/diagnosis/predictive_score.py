@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.inference import ExcitationStart, ObservedSpectra, Segments, classify, fit_excitation
+from monitor.inference import ExcitationStart, Segments, classify, fit_excitation
 from monitor.model import Context, Model
 
 
@@ -75,9 +75,17 @@ def score(
     modelled = np.tensordot(share, scatter, axes=1)
     if mean is not None:
         modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
-    nats = _segment_nats(residual, observed, scatter)[held]
+    # The sum over the segments is the log likelihood of the classes' mean spectra.
+    nats = np.empty(held.size)
+    for spectra, members in zip(scatter, observed.members, strict=True):
+        _, log_det = np.linalg.slogdet(spectra)
+        left = residual[members]
+        form = np.einsum("ska,kab,skb->s", left.conj(), np.linalg.inv(spectra), left).real
+        nats[members] = -observed.weight * (log_det.sum() + form)
     band_hz = float(segments.band.hz[0]), float(segments.band.hz[-1])
-    return Score(nats, _sample_instants(segments, held), band_hz, measured, modelled)
+    # The segments overlap by half, so that each covers half of its samples.
+    samples = round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
+    return Score(nats[held], samples, band_hz, measured, modelled)
 
 
 def csd_error(measured: Annotated[ComplexArray, "bins c c"], modelled: Annotated[ComplexArray, "bins c c"]) -> float:
@@ -90,26 +98,3 @@ def csd_error(measured: Annotated[ComplexArray, "bins c c"], modelled: Annotated
     0.25
     """
     return float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
-
-
-def _sample_instants(segments: Segments, held: NDArray[np.bool_]) -> int:
-    """Count the sample instants, at the rate of the processing, that segments cover: half of each, as they overlap by half."""
-    return round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
-
-
-def _segment_nats(
-    x: Annotated[ComplexArray, "segments bins c"],
-    observed: ObservedSpectra,
-    scatter: Annotated[ComplexArray, "classes bins c c"],
-) -> Annotated[Array, "segments"]:
-    """Compute the log likelihood of every segment under the spectra of its class, nats.
-
-    `x` are transforms less their mean under the model, `scatter` the model's cross-spectra about that mean.  The sum over the
-    segments is the log likelihood of the classes' mean spectra.
-    """
-    out = np.empty(x.shape[0])
-    for spectra, members in zip(scatter, observed.members, strict=True):
-        _, log_det = np.linalg.slogdet(spectra)
-        form = np.einsum("ska,kab,skb->s", x[members].conj(), np.linalg.inv(spectra), x[members]).real
-        out[members] = -observed.weight * (log_det.sum() + form)
-    return out

@@ -11,17 +11,13 @@ from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Segments, information_weight
 from monitor.signals import FALSE_RATE
 
-_LEAST_SHARE = 0.5
-"""Share of the spectrum, every bin counted alike, that repeats in a recording that repeats itself. [ratio; definition: more
-than half]"""
-
 
 def find_repetition(segments: Segments) -> float | None:
     """Find the time after which a recording repeats itself, s; return None where it does not.
 
     Segments of one distance in time are compared, bin by bin and each with its phase.  All of them must repeat by the same delay,
-    over at least half the recording.  Every bin and every segment counts alike, so that neither a tone, a mode nor a strong
-    motion repeats by itself.  A gap between the segments is no matter.
+    over at least half the recording and in more than half of the spectrum.  Every bin and every segment counts alike, so that
+    neither a tone, a mode nor a strong motion repeats by itself.  A gap between the segments is no matter.
 
     References
     ----------
@@ -48,7 +44,7 @@ def find_repetition(segments: Segments) -> float | None:
         i = int(np.abs(delays).argmax())
         # Of random motion the share has Rayleigh's distribution.
         chance = np.sqrt(np.log(delays.size * at.size / FALSE_RATE) / (one.size * n_bins * information_weight()))
-        if np.abs(delays[i]) > max(_LEAST_SHARE, chance) * one.size:
+        if np.abs(delays[i]) > max(0.5, chance) * one.size:
             lag = (i if i < 2 * n_bins else i - 4 * n_bins) / (4 * n_bins * segments.band.bin_hz)
             return float(distance * hop_s + lag)
     return None

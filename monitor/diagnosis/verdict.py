@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
+from monitor.diagnosis.backbone import find_level_dependence, find_ratio_change
 from monitor.diagnosis.backward_elimination import fit_subset
 from monitor.diagnosis.lack_of_fit import (
     LackOfFit,
@@ -45,10 +45,8 @@ class Cause:
     @classmethod
     def of(cls, effect: Effect, deviation: Annotated[Array, "p"]) -> Self:
         """Make a cause of an effect and the standard deviations of its coordinates."""
-        std = {}
-        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
-        return cls(effect, std)
+        values, own = effect.values(), zip(effect.parameters, deviation.tolist(), strict=True)
+        return cls(effect, {p.name: min(std * p.slope(values[p.name]), 1e300) for p, std in own})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -154,8 +152,8 @@ def judge(
         left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
-    findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, null_fit)))
-    still = find_level_dependence(backbone(posterior, fit))
+    findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
+    still = find_level_dependence(posterior, fit)
     causes, also_fitted = stated_causes(found)
     return Diagnosis(
         verdict=verdict,

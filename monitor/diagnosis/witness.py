@@ -13,17 +13,16 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
-from monitor.core import Array, ComplexArray
+from monitor.core import Array, ComplexArray, encode
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.story_forces import true_motion
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
-from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
+from monitor.model import Condition, Context, Model, ShearFrame, interval
+from monitor.signals import MAIN_LOBE_BINS
 
 _SEGMENT_PERIODS = 20.0
 """Length of a segment, in periods of the lowest mode. [1; judgement: modes a tenth apart are told apart, and short segments
 give many]"""
-_HALF_WIDTH = 2
-"""Bins on either side of a mode that belong to it. [bins; the Hann taper, whose main lobe is that wide]"""
 _LEAST_JACKKNIFE = 6
 """Fewest segments that tell a standard deviation. [segments; judgement]"""
 _FACTOR = 2.0
@@ -37,6 +36,16 @@ _AGREES_STDS = 2.0
 
 NOT_DETERMINED = 1e300
 """Standard deviation where none can be told. [1; definition: JSON has no infinity]"""
+
+_SEES = {
+    ("acceleration", "x"): ("motion along x", "a mode along x"),
+    ("acceleration", "y"): ("motion across (y)", "a mode of the other direction"),
+    ("acceleration", "z"): ("motion up and down", "a vertical mode"),
+    ("rotation_rate", "x"): ("rocking across (about x)", "a mode that rocks across"),
+    ("rotation_rate", "y"): ("rocking (about y)", "a mode that rocks"),
+    ("rotation_rate", "z"): ("twist", "a mode of torsion"),
+}
+"""What a sensor of a quantity and an axis sees: the motion, and the kind of mode."""
 
 Verdict = Literal["agrees", "contradicts", "cannot say"]
 Motion = Annotated[ComplexArray, "segments bins"]
@@ -77,11 +86,8 @@ class Witness:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
-        unit = "rad/m" if self.sensor.quantity == "rotation_rate" else "m/m"
-        keys = ("of", "frequency_hz", "ratio", "std", "coherence", "predicted", "predicted_before")
-        modes = [{key: getattr(mode, key) for key in keys} for mode in self.modes]
-        sensor = {key: getattr(self.sensor, key) for key in ("channel", "quantity", "axis", "floor")}
-        return {**sensor, "verdict": self.verdict, "says": self.says, "unit": unit, "modes": modes}
+        unit, sensor = "rad/m" if self.sensor.turns else "m/m", encode(self.sensor, omit=("mounted",))
+        return {**sensor, "verdict": self.verdict, "says": self.says, "unit": unit, "modes": encode(self.modes)}
 
 
 def compare_witnesses(
@@ -102,7 +108,7 @@ def compare_witnesses(
     modes = extended.modes()
     data = record.transforms(_SEGMENT_PERIODS / float(modes.frequencies_hz[0]))
     # Where the rate is so low that no mode lies in the band, there are hardly any bins.
-    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
+    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * MAIN_LOBE_BINS:
         why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
         return [Witness.silent(sensor, why) for sensor in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
@@ -119,9 +125,10 @@ class _Comparison:
         true = true_motion(data.floors, extended.effects, data.hz, context, condition)
         self.floors = true if data.ground is None else true - data.ground[:, :, None]
         self.modes, self.structure = extended.modes(), extended.structure
-        last_hz = float(data.hz[-1 - _HALF_WIDTH])
+        last_hz = float(data.hz[-1 - MAIN_LOBE_BINS])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
-        own = [(e.name, _own_frequency(e)) for e in extended.effects]
+        # Modes and oscillators that effects add.
+        own = [(e.name, e.values().get("frequency_hz")) for e in extended.effects if e.family == "structure"]
         self.others = [(name, hz) for name, hz in own if hz is not None and hz < last_hz]
 
     def judge(self, sensor: WitnessSensor) -> Witness:
@@ -131,7 +138,7 @@ class _Comparison:
         if sensor.channel in self.data.still:
             return Witness.silent(sensor, "it does not move")
         is_frame = isinstance(self.structure, ShearFrame)
-        if sensor.quantity == "rotation_rate" and (sensor.axis == "y" if is_frame else sensor.floor > 0):
+        if sensor.turns and (sensor.axis == "y" if is_frame else sensor.floor > 0):
             if is_frame and self.structure.story_heights_m is None:
                 return Witness.silent(sensor, "angles of joints and columns need story_heights_m in the structure file")
             return self._judge_rotation_in_modes(sensor)
@@ -221,17 +228,12 @@ class _Comparison:
     def _motion(self, sensor: WitnessSensor) -> Motion:
         """Integrate a witness's readings to rad or m."""
         readings, omega = self.data.witnesses[sensor.channel], self._omega
-        return np.asarray(readings / (1j * omega) if sensor.quantity == "rotation_rate" else readings / -(omega**2))
+        return np.asarray(readings / (1j * omega) if sensor.turns else readings / -(omega**2))
 
     def _bins(self, hz: float) -> slice:
         """Return the bins that belong to a mode."""
         at = round(hz / float(self.data.hz[1]))
-        return slice(max(1, at - _HALF_WIDTH), at + _HALF_WIDTH + 1)
-
-
-def _own_frequency(effect: Effect) -> float | None:
-    """Return the frequency of a mode or an oscillator that an effect adds, Hz; None for other effects."""
-    return effect.values().get("frequency_hz") if effect.family == "structure" else None
+        return slice(max(1, at - MAIN_LOBE_BINS), at + MAIN_LOBE_BINS + 1)
 
 
 def _transfer(turned: Motion, moved: Motion, bins: slice, *, signed: bool) -> tuple[float, float, float]:
@@ -298,7 +300,7 @@ def _judge_other_motion(
     sensor: WitnessSensor, found: Sequence[WitnessedMode], apart_hz: float
 ) -> tuple[Verdict | None, str]:
     """Say which modes move in the sensor's axis, and whether those do that the model does not have."""
-    what = f"{_motion_in_words(sensor)} of {f'floor {sensor.floor}' if sensor.floor else 'the ground'}"
+    what = f"{_SEES[sensor.quantity, sensor.axis][0]} of {f'floor {sensor.floor}' if sensor.floor else 'the ground'}"
     own = [m for m in found if m.of.startswith("mode ")]
     others = [m for m in found if m not in own]
     largest = max(own, key=lambda m: m.ratio, default=None)
@@ -331,26 +333,15 @@ def _judge_other_mode(
         verdict = "cannot say"
     ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, _unit(sensor))
     says = {"agrees": ": it is", "contradicts": ": it is not", "cannot say": ", which does not tell whether it is"}
-    return verdict, f"in {name} {ratio} (coherence {mode.coherence:.2f}){says[verdict]} {_kind(sensor)}"
+    return (
+        verdict,
+        f"in {name} {ratio} (coherence {mode.coherence:.2f}){says[verdict]} {_SEES[sensor.quantity, sensor.axis][1]}",
+    )
 
 
 def _unit(sensor: WitnessSensor) -> str:
     """Name the unit of a witness's motion over that of the structure."""
-    return "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
-
-
-def _motion_in_words(sensor: WitnessSensor) -> str:
-    """Name the motion in a sensor's axis."""
-    if sensor.quantity == "acceleration":
-        return {"x": "motion along x", "y": "motion across (y)", "z": "motion up and down"}[sensor.axis]
-    return {"x": "rocking across (about x)", "y": "rocking (about y)", "z": "twist"}[sensor.axis]
-
-
-def _kind(sensor: WitnessSensor) -> str:
-    """Name the kind of mode that the sensor's axis shows."""
-    if sensor.quantity == "acceleration":
-        return {"x": "a mode along x", "y": "a mode of the other direction", "z": "a vertical mode"}[sensor.axis]
-    return {"x": "a mode that rocks across", "y": "a mode that rocks", "z": "a mode of torsion"}[sensor.axis]
+    return "rad per m" if sensor.turns else "m per m"
 
 
 def contradictions(witnesses: Sequence[Witness]) -> str:

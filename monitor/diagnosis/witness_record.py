@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Annotated
 
 import numpy as np
+from typing_extensions import override
 
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
 from monitor.core import Array, BadInputError, ComplexArray
-from monitor.signals import Conditioner, FilterRun, FrontEnd, SegmentDesign, alignment, conditioned, transform
+from monitor.signals import FrontEnd, SegmentDesign, Stream, alignment, conditioned, transform
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +30,14 @@ class WitnessSensor:
     """``joint``, or ``midspan`` of a girder."""
 
     @property
+    def turns(self) -> bool:
+        """Whether it measures a rotation."""
+        return self.quantity == "rotation_rate"
+
+    @property
     def topic(self) -> str:
         """Topic of its samples."""
-        return ROTATION_RATE if self.quantity == "rotation_rate" else ACCELERATION
+        return ROTATION_RATE if self.turns else ACCELERATION
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,7 +63,7 @@ class WitnessRecord:
 
     def __init__(self, front_end: FrontEnd, sensors: Sequence[WitnessSensor]) -> None:
         self._front_end, self._sensors = front_end, tuple(sensors)
-        self._streams: dict[tuple[str, bool], _Stream | None] = {}
+        self._streams: dict[tuple[str, bool], _Channels | None] = {}
         self._unusable: set[str] = set()
         """Topics with blocks of a rate that cannot be conditioned."""
 
@@ -86,10 +93,10 @@ class WitnessRecord:
         key = (block.topic, is_witness)
         if key not in self._streams:
             held = tuple(name for name in channels if not is_witness or name in block.channels)
-            self._streams[key] = _Stream(self._front_end, held) if held else None
+            self._streams[key] = _Channels(self._front_end, held) if held else None
         stream = self._streams[key]
         # A channel that a later block no longer holds has ended; of the floors' channels all are needed.
-        if stream is not None and (not is_witness or set(stream.channels) <= set(block.channels)):
+        if stream is not None and (not is_witness or set(stream.front_end.channels) <= set(block.channels)):
             stream.push(block)
 
     def transforms(self, segment_s: float) -> WitnessTransforms | None:
@@ -98,82 +105,72 @@ class WitnessRecord:
         Streams of another sample rate than the floors' are left out, since the lowpass would delay them differently.
         """
         floors, ground = (self._streams.get((topic, False)) for topic in (ACCELERATION, GROUND))
-        if floors is None or floors.design is None or GROUND in self._unusable:
+        if floors is None or floors.rate_hz is None or GROUND in self._unusable:
             return None
-        witnesses = self._witnesses()
+        witnesses = [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
         beside = [s for s in (ground, *witnesses) if s is not None and s.rate_hz == floors.rate_hz]
         if ground is not None and ground not in beside:
             return None
-        rate_hz = floors.design.rate_hz
+        rate_hz, cutoff_hz = floors.conditioner.rate_hz, floors.conditioner.cutoff_hz
         n = max(2, round(segment_s * rate_hz))
-        design = SegmentDesign(rate_hz, n, min(n // 2 + 1, int(floors.design.cutoff_hz * n / rate_hz) + 1))
+        design = SegmentDesign(rate_hz, n, min(n // 2 + 1, int(cutoff_hz * n / rate_hz) + 1))
         hz = np.asarray(np.arange(design.n_bins) * design.step_hz)
         rows = _common_segments(floors, beside, design, hz)
         if not rows:
             return None
         moved, *rest = (np.stack(parts) for parts in zip(*rows, strict=True))
         by_stream = [(s, series) for s, series in zip(beside, rest, strict=True) if s is not ground]
-        found = {name: series[:, :, k] for s, series in by_stream for k, name in enumerate(s.channels)}
-        still = frozenset(name for s in witnesses for name, moves in zip(s.channels, s.moves, strict=True) if not moves)
+        found = {name: series[:, :, k] for s, series in by_stream for k, name in enumerate(s.front_end.channels)}
+        still = frozenset(
+            name for s in witnesses for name, moves in zip(s.front_end.channels, s.moves, strict=True) if not moves
+        )
         return WitnessTransforms(hz, moved, None if ground is None else rest[0][:, :, 0], found, still)
 
-    def _witnesses(self) -> list[_Stream]:
-        """List the streams of the witnesses that the recording holds."""
-        return [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
 
-
-class _Stream:
-    """Conditioned samples of some channels of one topic, in runs without a gap."""
+class _Channels(Stream):
+    """Conditioned samples of some channels of one topic, and which of them move."""
 
     def __init__(self, front_end: FrontEnd, channels: tuple[str, ...]) -> None:
-        self.channels = channels
-        self._front_end = replace(front_end, channels=channels)
-        self._align = alignment.start()
-        self._filters: FilterRun | None = None
-        self.design: Conditioner | None = None
-        """Conditioner of the latest run."""
-        self._runs: list[tuple[int, list[Array]]] = []
+        super().__init__(replace(front_end, channels=channels), np.float32)
         self._first: Array | None = None
         self.moves = np.zeros(len(channels), dtype=bool)
         """Whether a channel ever read another value than its first."""
 
-    @property
-    def rate_hz(self) -> float | None:
-        """Rate of the source's samples; None before the first."""
-        return None if self.design is None else self.design.rate_in_hz
-
-    def push(self, block: SampleBlock) -> None:
-        """Condition a block's samples."""
-        self._align, pieces = self._front_end.align(self._align, block)
-        for piece in pieces:
-            self._filters, part = conditioned.step(self._filters, piece, self._front_end)
-            if part.begins:
-                if piece.rate_hz != self.rate_hz:
-                    self._runs.clear()  # samples of another rate do not go together with those that follow
-                self.design = part.conditioner
-                self._runs.append((piece.t_ns, []))
+    @override
+    def push(self, block: SampleBlock) -> list[tuple[alignment.Piece, conditioned.Conditioned]]:
+        parts = super().push(block)
+        for piece, _ in parts:
             if self._first is None and len(piece.values):
                 self._first = piece.values[0]
             self.moves |= (piece.values != self._first).any(axis=0)
-            self._runs[-1][1].append(part.values.astype(np.float32))
+        return parts
 
-    def runs(self) -> list[tuple[int, Array]]:
-        """Join the samples of every run, with the time of the run's first sample, UTC ns."""
-        self._runs = [(t_ns, [np.concatenate(parts)]) for t_ns, parts in self._runs if parts]
-        return [(t_ns, parts[0]) for t_ns, parts in self._runs]
+    @property
+    def rate_hz(self) -> float | None:
+        """Rate of the source's samples; None before the first."""
+        return self.conditioner.rate_in_hz if self._runs else None
 
-    def cut(self, begin_ns: int, design: SegmentDesign, hz: Array) -> ComplexArray | None:
-        """Transform the segment that begins at a time, UTC ns; None where the samples do not cover it.
+    @override
+    def runs(self) -> list[conditioned.Run]:
+        # Samples of another rate do not go together with those that follow.
+        latest = takewhile(lambda run: run.conditioner.rate_in_hz == self.rate_hz, reversed(super().runs()))
+        return list(latest)[::-1]
 
-        The segment begins at the nearest sample, and the rest of the time is put into the phase.
-        """
-        for t_ns, samples in self.runs():
-            first = round((begin_ns - t_ns) * 1e-9 * design.rate_hz)
-            if first >= design.n // 2 and first + design.n <= len(samples):
-                late_s = first / design.rate_hz - (begin_ns - t_ns) * 1e-9
-                turned = np.exp(-2j * np.pi * hz * late_s)
-                return np.asarray(turned[:, None] * _transform(design, samples[first : first + design.n]))
-        return None
+
+def _cut(
+    runs: Sequence[conditioned.Run], begin_ns: int, design: SegmentDesign, hz: Array
+) -> Annotated[ComplexArray, "bins k"] | None:
+    """Transform the segment that begins at a time, UTC ns; None where the samples do not cover it.
+
+    The segment begins at the nearest sample, and the rest of the time is put into the phase.
+    """
+    for run in runs:
+        first = round((begin_ns - run.t_ns) * 1e-9 * design.rate_hz)
+        if first >= design.n // 2 and first + design.n <= len(run.values):
+            late_s = first / design.rate_hz - (begin_ns - run.t_ns) * 1e-9
+            turned = np.exp(-2j * np.pi * hz * late_s)
+            return np.asarray(turned[:, None] * _transform(design, run.values[first : first + design.n]))
+    return None
 
 
 def _transform(design: SegmentDesign, samples: Annotated[Array, "n k"]) -> Annotated[ComplexArray, "bins k"]:
@@ -182,15 +179,15 @@ def _transform(design: SegmentDesign, samples: Annotated[Array, "n k"]) -> Annot
 
 
 def _common_segments(
-    floors: _Stream, beside: Sequence[_Stream], design: SegmentDesign, hz: Array
+    floors: _Channels, beside: Sequence[_Channels], design: SegmentDesign, hz: Array
 ) -> list[list[ComplexArray]]:
     """Transform the half-overlapping segments of the floors that all streams beside them cover, each with theirs."""
-    n, out = design.n, []
-    for t_ns, samples in floors.runs():
+    n, others, out = design.n, [stream.runs() for stream in beside], []
+    for run in floors.runs():
         # The first half segment holds the filter's transient.
-        for first in range(n // 2, len(samples) - n + 1, n // 2):
-            begin_ns = t_ns + round(first / design.rate_hz * 1e9)
-            parts = [part for stream in beside if (part := stream.cut(begin_ns, design, hz)) is not None]
+        for first in range(n // 2, len(run.values) - n + 1, n // 2):
+            begin_ns = run.t_ns + round(first / design.rate_hz * 1e9)
+            parts = [part for runs in others if (part := _cut(runs, begin_ns, design, hz)) is not None]
             if len(parts) == len(beside):
-                out.append([_transform(design, samples[first : first + n]), *parts])
+                out.append([_transform(design, run.values[first : first + n]), *parts])
     return out

@@ -38,6 +38,7 @@ from .posterior import (
     join_coordinates as join_coordinates,
     with_coordinates as with_coordinates,
 )
-from .segments import LeftOut as LeftOut, Segments as Segments, gather as gather
+from .segments import Segments as Segments, gather as gather
 from .starting_point import guess_levels as guess_levels, make_posterior as make_posterior
+from .system_slopes import unpacked as unpacked
 from .trial import require_finite as require_finite, tried as tried

@@ -7,10 +7,10 @@ of their mean cross-spectra.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Self
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,12 @@ from scipy.optimize import brentq
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectrum
-from monitor.inference.judged_band import JudgedBand
 from monitor.inference.trial import require_finite
 from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
+T = TypeVar("T")
 _TAPS = leakage()
-_MIN_GROUND_SHARE = 1e-9
-"""Share of the variance from the ground below which it is zero. [ratio; rounding]"""
-_MAX_GROUND_SHARE = 0.999
-"""Largest share of the variance from the ground. [ratio; rounding]"""
 _FREQUENCY_BLOCK = 64
 """Frequencies whose systems are solved together. [count; cost]"""
 _LOWEST_HZ = 0.05
@@ -53,11 +49,9 @@ class Band:
     forces_hz: tuple[float, float] = (0.0, np.inf)
     """Frequencies at which the recording shows that the forces begin and end, Hz."""
 
-    def part(self, judged: JudgedBand) -> Band:
-        """Return the bins that a recording can judge."""
-        chosen = judged.judged
-        n_bins = chosen.stop - chosen.start
-        return Band(self.first + chosen.start, n_bins, self.bin_hz, self.gain[chosen], judged.forces_hz)
+    def part(self, chosen: slice, forces_hz: tuple[float, float]) -> Band:
+        """Return some of the bins, and where the forces begin and end."""
+        return Band(self.first + chosen.start, chosen.stop - chosen.start, self.bin_hz, self.gain[chosen], forces_hz)
 
     def forced(self, hz: Array) -> NDArray[np.bool_]:
         """Select the frequencies (Hz) at which forces act."""
@@ -127,12 +121,10 @@ def random_spectra(
     condition: Condition,
 ) -> Spectrum:
     """Compute the part of the segments' cross-spectra that is random motion and noise."""
-    clock = clock_ratio(effects)
-    fine = band.fine_hz
-    answer = seen(system, effects, fine, clock, context, condition)
-    force = excitation.force
+    fine, force = band.fine_hz, excitation.force
+    answer = seen(system, effects, fine, context, condition)
     mean_force, n_extra = float(force.mean()), answer.shape[2] - force.size - 1
-    colour = force_colour(effects, fine * clock)
+    colour = force_colour(effects, fine * clock_ratio(effects))
     share = sum(e.ground_share for e in effects)
     ground = excitation.ground_noise
     if share > 0.0:
@@ -165,7 +157,7 @@ def line_spectra(
     spectra = np.zeros((band.n_bins, c, c), dtype=complex)
     for line in (line for effect in effects for line in effect.lines()):
         at = np.array([line.frequency_hz / clock])
-        y = seen(system, effects, at, clock, context, condition)[0, :, line.floor]
+        y = seen(system, effects, at, context, condition)[0, :, line.floor]
         offset = (band.hz - at) / band.bin_hz
         power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
         spectra += power[:, None, None] * np.outer(y, y.conj())
@@ -196,18 +188,19 @@ def clock_ratio(effects: Sequence[Effect]) -> float:
 
 
 def seen(
-    system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
+    system: System, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
 ) -> Annotated[ComplexArray, "hz c n+1+extra"]:
     """Compute the frequency response of the recorded channels, with the effects of the acquisition.
 
     Its columns are for forces on the floors, a ground acceleration, then a force on each coupled and each extra mode.
-    `hz` are frequencies by the acquisition's clock; `clock` is its true rate over the nominal rate.
+    `hz` are frequencies by the acquisition's clock.
     """
-    answer = channel_response(system, clock * hz, context)
+    true_hz = clock_ratio(effects) * hz
+    answer = channel_response(system, true_hz, context)
     modes = [mode for effect in effects for mode in effect.extra_modes(context)]
     if modes:
-        answer = np.concatenate([answer, extra_mode_response(modes, clock * hz, context)], axis=2)
-    return recorded(answer, effects, clock * hz, context, condition)
+        answer = np.concatenate([answer, extra_mode_response(modes, true_hz, context)], axis=2)
+    return recorded(answer, effects, true_hz, context, condition)
 
 
 def recorded(
@@ -226,65 +219,58 @@ def channel_response(system: System, hz: Array, context: Context) -> Annotated[C
 
     Its columns are for forces on the floors, for a ground acceleration, then for a force on each coupled mode of the system.
     """
-    return _Observed.of(system, context).response(hz)
+    return _response(hz, *_observed(system, context))
 
 
-@dataclass(frozen=True, slots=True)
-class _Observed:
-    """Linear system and its sensors as bytes of their arrays, by which results are kept: most slopes of a fit move neither."""
-
-    mass: bytes
-    damping: bytes
-    stiffness: bytes
-    columns: bytes
-    """Forces that act on the degrees of freedom, shape (N, n + 1 + n_coupled); the ground's column is number n."""
-    sensors: bytes
-    """Shares of the degrees of freedom in every channel, shape (c, N)."""
-    shares: bytes
-    """Of the ground's own acceleration in every channel, shape (c,)."""
-    n: int
-
-    @classmethod
-    def of(cls, system: System, context: Context) -> Self:
-        """Take the arrays of a system and of the channels."""
-        n = context.structure.n_dofs
-        columns = np.insert(system.forced(n), n, -system.inertia, axis=1)
-        sensors, shares = system.sensors(context.sensors), context.sensors.sum(axis=1)
-        arrays = system.mass, system.damping, system.stiffness, columns, sensors, shares
-        mass, damping, stiffness, forced, seen_by, own = (np.ascontiguousarray(a).tobytes() for a in arrays)
-        return cls(mass, damping, stiffness, forced, seen_by, own, n)
-
-    def response(self, hz: Array) -> ComplexArray:
-        """Compute the frequency response of the true accelerations at the sensors, see `channel_response`."""
-        floors = _floor_response(
-            self.mass, self.damping, self.stiffness, self.columns, np.ascontiguousarray(hz).tobytes()
-        )
-        sensors, shares = (np.frombuffer(of).copy() for of in (self.sensors, self.shares))
-        return np.asarray(_at_sensors(floors, sensors.reshape(shares.size, -1), self.n, shares))
+def _observed(system: System, context: Context) -> tuple[Array, ...]:
+    """List the arrays of a system and of its channels, see `_response`."""
+    n = context.structure.n_dofs
+    columns = np.insert(system.forced(n), n, -system.inertia, axis=1)
+    return system.mass, system.damping, system.stiffness, columns, system.sensors(context.sensors), context.sensors
 
 
-@lru_cache(maxsize=_N_RESPONSES)
-def _floor_response(mass: bytes, damping: bytes, stiffness: bytes, columns: bytes, hz: bytes) -> ComplexArray:
-    """Compute `accelerance` of arrays given by their bytes; sensors may move while the system stays."""
-    m, c, k, right, at = (np.frombuffer(of).copy() for of in (mass, damping, stiffness, columns, hz))
-    size = round(np.sqrt(m.size))
-    m, c, k = (a.reshape(size, size) for a in (m, c, k))
-    return np.asarray(accelerance(m, c, k, 2.0 * np.pi * at, right.reshape(size, -1)))
+def _response(
+    hz: Array, mass: Array, damping: Array, stiffness: Array, columns: Array, sensors: Array, of_floors: Array
+) -> ComplexArray:
+    """Compute `channel_response`; the ground's column is that after the n floors'.
+
+    `columns` are the forces on the degrees of freedom, `sensors` the shares of these in every channel, and `of_floors` those of
+    the floors alone, which sum up to that of the ground's own acceleration.
+    """
+    floors = _floor_response(mass, damping, stiffness, columns, hz)
+    shares = np.ascontiguousarray(sensors, dtype=float)
+    return np.asarray(_at_sensors(floors, shares, of_floors.shape[1], of_floors.sum(axis=1)))
 
 
-@lru_cache(maxsize=_N_RESPONSES)
+def _kept(compute: Callable[..., T]) -> Callable[..., T]:
+    """Keep the latest results of a function of arrays, by their numbers: most slopes of a fit move none of them."""
+
+    @lru_cache(maxsize=_N_RESPONSES)
+    def of_bytes(*arrays: tuple[bytes, tuple[int, ...]]) -> T:
+        return compute(*(np.frombuffer(data).reshape(shape).copy() for data, shape in arrays))
+
+    return lambda *arrays: of_bytes(*((np.asarray(a, dtype=float).tobytes(), np.shape(a)) for a in arrays))
+
+
+@_kept
+def _floor_response(mass: Array, damping: Array, stiffness: Array, columns: Array, hz: Array) -> ComplexArray:
+    """Compute the `accelerance` at frequencies in Hz; sensors may move while the system stays."""
+    return np.asarray(accelerance(mass, damping, stiffness, 2.0 * np.pi * hz, columns))
+
+
+@_kept
 def _integrated_products(
-    observed: _Observed, colour: bytes, rate_hz: float, band_hz: float
+    colour: Array, rate_hz: float, band_hz: float, *observed: Array
 ) -> tuple[Annotated[Array, "c n n"], Annotated[Array, "c n n"], Annotated[Array, "c"]]:
     """Integrate the products of the channels' responses to two forces, and their squared responses to the ground.
 
     The classes of a recording differ by the density of the forces alone, which weights these products.  The first result is over
     all frequencies, the second over those above `band_hz`.  `colour` is the factor on the forces' density at `_integration_hz`.
     """
-    hz, n = _integration_hz(rate_hz), observed.n
-    answer = observed.response(hz).transpose(1, 2, 0)
+    hz, n = _integration_hz(rate_hz), observed[-1].shape[1]
+    answer = _response(hz, *observed).transpose(1, 2, 0)
     weight = 2.0 * hz * np.gradient(np.log(hz))
-    forced, coloured = answer[:, :n], weight * np.frombuffer(colour)
+    forced, coloured = answer[:, :n], weight * colour
     by_pair, above = (
         ((w * forced) @ forced.conj().transpose(0, 2, 1)).real for w in (coloured, coloured * (hz > band_hz))
     )
@@ -333,8 +319,8 @@ def ground_density(
     """
     by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
-    share = min(share, _MAX_GROUND_SHARE)
-    if share < _MIN_GROUND_SHARE:
+    share = min(share, 0.999)
+    if share < 1e-9:
         return 0.0
 
     def excess(ln_density: float) -> float:
@@ -356,8 +342,8 @@ def variances(
     The three are by the forces, by a white ground acceleration of density one, and by the forces above `band_hz`.
     """
     root, colour = force_root(force, effects), force_colour(effects, _integration_hz(context.rate_hz))
-    observed = _Observed.of(system, context)
-    by_pair, above, by_ground = _integrated_products(observed, colour.tobytes(), context.rate_hz, band_hz)
+    observed = _observed(system, context)
+    by_pair, above, by_ground = _integrated_products(colour, context.rate_hz, band_hz, *observed)
     density = root @ root.T
     return (by_pair * density).sum(axis=(1, 2)), by_ground, (above * density).sum(axis=(1, 2))
 

@@ -75,12 +75,10 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     effects = posterior.effects(x, effects)
     nonlinear = _nonlinear_sensors(effects)
     fast = int(next_fast_len(int(np.ceil(_STEPS_A_PERIOD * e.band.hz[-1] / e.band.bin_hz / 2.0))))
-    half = round(e.rate_hz / e.band.bin_hz / 2) if nonlinear else fast
+    half = round(e.segments.rate_hz / e.band.bin_hz / 2) if nonlinear else fast
     rate = 2.0 * half * e.band.bin_hz
-    n, n_segments, known = context.structure.n_dofs, e.t_s.size, posterior.forces(x)
-    density = np.empty((n_segments, n))
-    for k, members in enumerate(e.members):
-        density[members] = known[k] * e.level[members][:, None]
+    n, n_segments, known = context.structure.n_dofs, e.level.size, posterior.forces(x)
+    density = known[e.label] * e.level[:, None]
     middle, at_sample = (np.arange(n_segments) + 2) * half, np.arange((n_segments + 2) * half)
     rng = np.random.default_rng(seed)
     root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
@@ -127,7 +125,7 @@ def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], ac
         channels = channels + acting.noise
     for effect in _nonlinear_sensors(everything):
         channels = _apply_sensor_law(effect, channels, posterior, acting, context)
-    return _segment_transforms(_kept_spectrum(channels, posterior), posterior, range(posterior.observed.t_s.size))
+    return _segment_transforms(_kept_spectrum(channels, posterior), posterior, range(posterior.observed.level.size))
 
 
 def _apply_sensor_law(effect: Effect, samples: Array, posterior: Posterior, acting: Forces, context: Context) -> Array:
@@ -287,12 +285,12 @@ def _kept_samples(posterior: Posterior) -> int:
     """Choose the number of samples in half a segment of the resampled series, which contains the band only."""
     band = posterior.observed.band
     fast = next_fast_len(int(np.ceil(_KEPT_BAND * band.hz[-1] / band.bin_hz)), real=True)
-    return int(min(fast, round(posterior.observed.rate_hz / band.bin_hz / 2)))
+    return int(min(fast, round(posterior.observed.segments.rate_hz / band.bin_hz / 2)))
 
 
 def _kept_frequencies(posterior: Posterior) -> int:
     """Count the frequencies of a whole series that are kept."""
-    return (posterior.observed.t_s.size + 2) * _kept_samples(posterior) // 2 + 1
+    return (posterior.observed.level.size + 2) * _kept_samples(posterior) // 2 + 1
 
 
 def _kept_spectrum(samples: Array, posterior: Posterior) -> Annotated[ComplexArray, "kept columns"]:
@@ -304,7 +302,7 @@ def _kept_spectrum(samples: Array, posterior: Posterior) -> Annotated[ComplexArr
 def _segment_transforms(spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]) -> Transforms:
     """Cut the wanted segments out of a whole series and transform them with the taper."""
     band, half = posterior.observed.band, _kept_samples(posterior)
-    samples = irfft(np.ascontiguousarray(spectrum.T), n=(posterior.observed.t_s.size + 2) * half)
+    samples = irfft(np.ascontiguousarray(spectrum.T), n=(posterior.observed.level.size + 2) * half)
     window = taper(2 * half) / np.sqrt(2.0 * half * band.bin_hz)
     parts = np.stack([samples[:, (i + 1) * half : (i + 3) * half] for i in wanted])  # half overlapped
     return np.asarray(rfft(window * parts)[:, :, band.first : band.first + band.n_bins].swapaxes(1, 2))

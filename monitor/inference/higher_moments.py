@@ -22,7 +22,7 @@ from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
 from monitor.inference.trial import require_finite
 from monitor.model import Line
-from monitor.signals import overlap_correlation, taper
+from monitor.signals import MAIN_LOBE_BINS, overlap_correlation, taper
 
 _MODE_BAND = 0.15
 """Half-width of a mode's band, over its frequency. [ratio; judgement]"""
@@ -30,10 +30,6 @@ _MIN_KURTOSIS_STD = 0.03
 """Least standard deviation of the kurtosis that forces of changing level give all modes. [1; judgement]"""
 _MIN_BAND_WIDTH = 0.1
 """Least width of a band between modes, over its frequency. [ratio; judgement]"""
-_TONE_BINS = 2.0
-"""Half-width of the band in which a tone's kurtosis is measured. [bins; the taper's main lobe]"""
-_TONE_KURTOSIS = -1.5
-"""Excess kurtosis of a tone. [1; definition]"""
 _STUDENT_FREEDOM = 10.0
 """Of Student's distribution for the kurtosis. [degrees of freedom; judgement: blows and tones, which no law here makes,
 must not decide]"""
@@ -97,10 +93,17 @@ class MeasuredMoments:
 
 def measure_moments(transforms: Transforms, posterior: Posterior, at: MapEstimate) -> MeasuredMoments:
     """Measure the moments of a recording's segments, with their standard deviations, about the modes of the fit `at`."""
-    split = _split_by_mode(transforms, posterior, at)
-    skew, tails = drift_skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
+    context, hz, level = posterior.context, posterior.observed.band.hz, relative_level(transforms)
+    floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
+    model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
+    modes, n = model.modes(), context.structure.n_dofs
+    pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
+    near = np.abs(hz - modes.frequencies_hz[:n, None]) < _MODE_BAND * modes.frequencies_hz[:n, None]
+    tails = [_kurtosis(floors[:, about] @ own, level) for about, own in zip(near, pick, strict=True)]
+    skew = drift_skewness(floors, posterior)
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
-    return MeasuredMoments(mean, std, _kurtosis_between_modes(split, posterior.observed.band.hz))
+    between = np.flatnonzero(~near.any(axis=0))
+    return MeasuredMoments(mean, std, _kurtosis_between_modes(floors, level, between, hz))
 
 
 def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> Moments:
@@ -115,7 +118,7 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
     line, `at`, gives the share of the power that is the line's.
     """
     band = posterior.observed.band
-    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= _TONE_BINS * band.bin_hz)
+    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= MAIN_LOBE_BINS * band.bin_hz)
     if not near.size:
         return 0.0
     others = tuple(e for e in at.effects if line not in e.lines())
@@ -136,42 +139,18 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
         square = ((kurtosis - expected) / std) ** 2
         return -0.5 * (_STUDENT_FREEDOM + 1.0) * float(np.log1p(square / _STUDENT_FREEDOM))
 
-    return log_likelihood(_TONE_KURTOSIS * float(share) ** 2) - log_likelihood(0.0)
+    return log_likelihood(-1.5 * float(share) ** 2) - log_likelihood(0.0)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Split:
-    """Segments split by mode."""
-
-    floors: Annotated[ComplexArray, "segments bins n"]
-    """Transforms of the floors' accelerations."""
-    level: Annotated[Array, "segments"]
-    """Level of every segment, which varies slowly and by which the segment's power is divided."""
-    modes: tuple[Annotated[ComplexArray, "segments bins"], ...]
-    """Transforms of every mode's coordinate in the bins about it."""
-    between: NDArray[np.intp]
-    """Bins outside the bands of all modes."""
-
-
-def _split_by_mode(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _Split:
-    """Split segments into the bands of a fit's modes."""
-    context, hz = posterior.context, posterior.observed.band.hz
-    floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
-    model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
-    modes, n = model.modes(), context.structure.n_dofs
-    pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
-    near = np.abs(hz - modes.frequencies_hz[:n, None]) < _MODE_BAND * modes.frequencies_hz[:n, None]
-    narrow = tuple(floors[:, about] @ own for about, own in zip(near, pick, strict=True))
-    return _Split(floors, relative_level(transforms), narrow, np.flatnonzero(~near.any(axis=0)))
-
-
-def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
+def _kurtosis_between_modes(
+    floors: Annotated[ComplexArray, "segments bins n"], level: Array, between: NDArray[np.intp], hz: Array
+) -> float:
     """Average the excess kurtosis of the floors over all sufficiently wide bands between modes; 0 where there is none."""
-    found, weight, free = [0.0], [0.0], split.between
-    for run in np.split(free, np.flatnonzero(np.diff(free) > 1) + 1):
+    found, weight = [0.0], [0.0]
+    for run in np.split(between, np.flatnonzero(np.diff(between) > 1) + 1):
         if run.size and hz[run[-1]] - hz[run[0]] > _MIN_BAND_WIDTH * hz[run[0]]:
-            found += [_kurtosis(floor[:, run], split.level)[0] for floor in np.moveaxis(split.floors, 2, 0)]
-            weight += [float(run.size)] * split.floors.shape[2]
+            found += [_kurtosis(floor[:, run], level)[0] for floor in np.moveaxis(floors, 2, 0)]
+            weight += [float(run.size)] * floors.shape[2]
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 
@@ -201,14 +180,10 @@ def _kurtosis(narrow: Annotated[ComplexArray, "segments bins"], level: Array) ->
         return 0.0, np.inf
     length = next_fast_len(4 * narrow.shape[1])  # room for the fourth power
     power = np.abs(ifft(narrow, n=length, axis=1)) ** 2 / level[:, None]
-    second, fourth = power.mean(axis=1), (power**2).mean(axis=1)
-    ratio = fourth.mean() / second.mean() ** 2 / _normal_ratio(length)
+    second, fourth, shape = power.mean(axis=1), (power**2).mean(axis=1), taper(length) ** 2
+    # Mean fourth power of a normal process's envelope, over the square of its mean square, under the taper.
+    normal = float(2.0 * (shape**2).mean() / shape.mean() ** 2)
+    ratio = fourth.mean() / second.mean() ** 2 / normal
     by_segment = ratio * (fourth / fourth.mean() - 2.0 * second / second.mean())
     std = by_segment.std(ddof=1) * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(second))
     return 3.0 * (float(ratio) - 1.0), 3.0 * float(std)
-
-
-def _normal_ratio(length: int) -> float:
-    """Compute the mean fourth power of a normal process's envelope over the square of its mean square, under the taper."""
-    shape = taper(length) ** 2
-    return float(2.0 * (shape**2).mean() / shape.mean() ** 2)

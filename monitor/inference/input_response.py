@@ -23,13 +23,11 @@ from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectra, Transforms, TransformSlopes
 from monitor.inference.cross_spectra import Band, accelerance, clock_ratio, recorded
 from monitor.model import Condition, Context, Effect, System
-from monitor.signals import SegmentDesign, taper
+from monitor.signals import SegmentDesign, conditioned, taper
 
 Between = Literal["smooth", "straight", "held"]
 """Course of the inputs between their samples: smooth as after a sensor's filter, or straight or held as in a simulation."""
 
-_IMAGES = (0, -1, 1)
-"""Images of the spectrum that sampling folds into the band. [count; definition]"""
 _PAD_S = 40.0
 """Zeros after a run, in which its last motion dies out before it wraps around. [s; judgement]"""
 _MAX_MISALIGNMENT = 0.02
@@ -49,8 +47,6 @@ _MIN_RUN_SEGMENTS = 6
 """Fewest segments that a run without gaps must cover. [segments; judgement]"""
 _SMOOTH_HZ = 12.0
 """Width over which the error of the response is smoothed. [Hz; not recorded]"""
-_MEAN_ROWS = 2.0
-"""Information of the mean, over that of the squared modulus. [ratio; definition: complex normal distribution]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -123,7 +119,7 @@ class Drive:
         if self.between == "smooth":
             yield 0.0, np.ones(hz.size)
             return
-        for k in _IMAGES:
+        for k in (0, -1, 1):
             x = hz / self.source_hz + k
             yield (
                 k * self.source_hz,
@@ -142,10 +138,8 @@ class Drive:
     def measured(self, band: Band) -> Annotated[ComplexArray, "segments bins k"]:
         """Transform the inputs themselves in every segment."""
         k = len(self.inputs)
-        out = np.empty((self.run.size, band.n_bins, k), dtype=complex)
-        for members, samples in self.moved(np.broadcast_to(np.eye(k), (run.n // 2 + 1, k, k)) for run in self.runs):
-            out[members] = _tapered_transforms(self.design, samples, band)
-        return out
+        moved = self.moved(np.broadcast_to(np.eye(k), (run.n // 2 + 1, k, k)) for run in self.runs)
+        return self.transforms(moved, k, band)
 
     def power(self, band: Band) -> Annotated[Array, "segments"]:
         """Compute the power of the inputs in every segment, each over its mean, summed."""
@@ -164,21 +158,30 @@ class Drive:
         windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
         return members, np.moveaxis(windows[:, self.first[members]], 0, -1)
 
+    def transforms(self, moved: Iterable[tuple[NDArray[np.intp], Array]], columns: int, band: Band) -> Transforms:
+        """Transform all segments, cut as by `cut`, as `monitor.signals.welch.transform` does, and keep the band."""
+        out = np.empty((self.run.size, band.n_bins, columns), dtype=complex)
+        for members, samples in moved:
+            tapered = np.moveaxis(samples, 1, -1) * (taper(self.design.n) / np.sqrt(self.design.rate_hz))
+            spectra = rfft(tapered, axis=-1)[..., band.first : band.first + band.n_bins]
+            out[members] = np.moveaxis(spectra, -1, 1)
+        return out
 
-def joined(streams: Sequence[Sequence[tuple[int, Array]]], rate_hz: float) -> list[tuple[int, Array]]:
+
+def joined(streams: Sequence[Sequence[conditioned.Run]], rate_hz: float) -> list[tuple[int, Array]]:
     """Join the runs of several inputs in the stretches in which all of them are there.
 
-    A run has the UTC of its first sample in ns, and conditioned samples in columns; a joined one has the columns of all.
+    A joined run has the UTC of its first sample in ns, and conditioned samples in the columns of all.
     """
-    out = list(streams[0])
+    out = [(run.t_ns, run.values) for run in streams[0]]
     for runs in streams[1:]:
         both = []
-        for (t, samples), (u, others) in product(out, runs):
-            shift = (u - t) * 1e-9 * rate_hz
+        for (t, samples), other in product(out, runs):
+            shift = (other.t_ns - t) * 1e-9 * rate_hz
             first, second = max(0, round(shift)), max(0, -round(shift))
-            n = min(len(samples) - first, len(others) - second)
+            n = min(len(samples) - first, len(other.values) - second)
             if abs(shift - round(shift)) < _MAX_MISALIGNMENT and n > 0:
-                columns = np.column_stack([samples[first : first + n], others[second : second + n]])
+                columns = np.column_stack([samples[first : first + n], other.values[second : second + n]])
                 both.append((t + round(first / rate_hz * 1e9), columns))
         out = both
     return out
@@ -223,7 +226,6 @@ def response(
 ) -> Transforms:
     """Compute the transforms of the channels' response in every segment."""
     clock = clock_ratio(effects)
-    out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
 
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
@@ -234,21 +236,13 @@ def response(
         channels = np.asarray(context.sensors @ floors, dtype=np.complex128)
         return recorded(channels, effects, clock * hz, context, condition)
 
-    for members, samples in drive.moved(answer(run) for run in drive.runs):
-        out[members] = _tapered_transforms(drive.design, samples, band)
-    return out
+    return drive.transforms(drive.moved(answer(run) for run in drive.runs), len(context.channels), band)
 
 
 def _relative_response(drive: Drive, system: System, hz: Array, context: Context) -> Annotated[ComplexArray, "hz n k"]:
     """Compute the floors' acceleration relative to the ground by a unit of each input."""
     floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, drive.forces(system))
     return np.asarray(floors[:, : context.structure.n_dofs])
-
-
-def _tapered_transforms(design: SegmentDesign, samples: Array, band: Band) -> Transforms:
-    """Transform many segments at once as `monitor.signals.welch.transform` does, and keep the band."""
-    tapered = np.moveaxis(samples, 1, -1) * (taper(design.n) / np.sqrt(design.rate_hz))
-    return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., band.first : band.first + band.n_bins], -1, 1))
 
 
 def exact_response(
@@ -272,8 +266,8 @@ def exact_response(
     n = context.structure.n_dofs
     lowest = _TILT_FREQUENCY * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
     clock = clock_ratio(effects)
-    out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
-    for i, run in enumerate(drive.runs):
+
+    def moved(run: Run) -> Array:
         hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
         finer = drive.design.rate_hz * _OVERSAMPLING
         # The true inputs, before the filter, act on the laws; frequencies that the filter removes are lost.
@@ -290,10 +284,10 @@ def exact_response(
         absolute: ComplexArray = (rfft(floors, axis=0) + (true @ drive.rides)[:, None]) * run.passed[:, None]
         channels = np.asarray((absolute @ context.sensors.T)[:, :, None]).astype(np.complex128)
         answer = recorded(channels, effects, hz * clock, context, condition)
-        samples = irfft(answer[:, :, 0].T, n=run.n)
-        members, windows = drive.cut(i, samples)
-        out[members] = _tapered_transforms(drive.design, windows, band)
-    return out
+        return np.asarray(irfft(answer[:, :, 0].T, n=run.n))
+
+    cut = (drive.cut(i, moved(run)) for i, run in enumerate(drive.runs))
+    return drive.transforms(cut, len(context.channels), band)
 
 
 def motion_rms(
@@ -343,7 +337,8 @@ def mean_rows(spectra: Spectra, stacked: TransformSlopes, members: Sequence[NDAr
     of = np.empty(stacked.shape[1], dtype=np.intp)
     for k, m in enumerate(members):
         of[m] = k
-    scale = np.sqrt(_MEAN_ROWS * weight)[:, :, None, None]
+    # The mean of a complex normal distribution has twice the information of the squared modulus.
+    scale = np.sqrt(2.0 * weight)[:, :, None, None]
     whiteners = np.asarray(scale * np.linalg.inv(np.linalg.cholesky(spectra)), dtype=np.complex128)
     return np.asarray(_whitened_means(whiteners, of, stacked).reshape(len(stacked), -1).T)
 

@@ -12,15 +12,12 @@ the modes, each of which moves in one direction only, and without what a single 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Annotated
-
 import numpy as np
 from scipy.ndimage import median_filter
 
 from monitor.core import Array
 from monitor.inference.arrays import Transforms, mean_products
+from monitor.inference.cross_spectra import Band
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
 _LEAST_ORDER_ABOVE = 4.0
@@ -41,27 +38,12 @@ _MEDIAN_BINS = 13
 taper]"""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class JudgedBand:
-    """Bins that can be judged, out of all bins of the band of ``[processing]``, and the range of the forces."""
+def find_judged_band(transforms: Transforms, whole: Band) -> Band:
+    """Find the part of a band in which forces shake the structure: where the power falls no more steeply than a structure's may.
 
-    judged: slice
-    forces_hz: tuple[float, float] = (0.0, np.inf)
-    """Frequencies between which the forces act: at each the power has fallen by half; zero and infinity where it does not."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Fall:
-    """Steepest fall of the power along an ascending axis u."""
-
-    half: float
-    """Where the power has fallen by half."""
-    judged: float
-    """Up to where the forces are flat: the power has fallen by less than chance."""
-
-
-def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> JudgedBand:
-    """Find the bins in which forces shake the structure: where the power falls no more steeply than a structure's may."""
+    At the frequencies at which the forces begin and end the power has fallen by half; zero and infinity where it does not.
+    """
+    hz, transforms = whole.hz, np.asarray(transforms / np.sqrt(whole.gain)[:, None], dtype=complex)
     spectra = mean_products(transforms)
     second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
     periodograms = np.abs(transforms) ** 2
@@ -71,26 +53,21 @@ def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> Ju
         median_filter(np.log(np.maximum(p, _NO_POWER)), size=(_MEDIAN_BINS, 1), mode="nearest") for p in (second, power)
     ]
     u = np.log(hz)
-    upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)
-    lower = _first(_steepest_fall(-u[::-1], level[::-1], chance, _LEAST_ORDER_BELOW) for level in levels)
+    above = (_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)
+    below = (_steepest_fall(-u[::-1], level[::-1], chance, _LEAST_ORDER_BELOW) for level in levels)
+    nowhere = np.inf, np.inf
+    (end, flat_to), (begin, flat_from) = (next(filter(None, falls), nowhere) for falls in (above, below))
     leaked = 0.5 * float(np.abs(LEAKAGE_OFFSETS).max()) * (hz[1] - hz[0])
-    low = -np.inf if lower is None else np.exp(-lower.judged) + leaked
-    high = np.inf if upper is None else np.exp(upper.judged) - leaked
-    first, end = np.searchsorted(hz, [low, high])
-    if end - first < 2:
-        return JudgedBand(slice(0, hz.size))
-    begin_hz = 0.0 if lower is None else float(np.exp(-lower.half))
-    end_hz = np.inf if upper is None else float(np.exp(upper.half))
-    return JudgedBand(slice(int(first), int(end)), (begin_hz, end_hz))
+    first, past = np.searchsorted(hz, [np.exp(-flat_from) + leaked, np.exp(flat_to) - leaked])
+    if past - first < 2:
+        return whole
+    return whole.part(slice(int(first), int(past)), (float(np.exp(-begin)), float(np.exp(end))))
 
 
-def _first(falls: Iterable[_Fall | None]) -> _Fall | None:
-    """Return the first fall that there is."""
-    return next((fall for fall in falls if fall is not None), None)
-
-
-def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) -> _Fall | None:
+def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) -> tuple[float, float] | None:
     """Find the steepest fall of all channels from an octave to everything beyond; None where none reaches the least order.
+
+    Returned are where the power has fallen by half, and up to where the forces are flat, with a fall of less than chance.
 
     The fall is taken for a Butterworth filter's, whose order and corner follow from the steepest part.  `u` are logarithms of the
     frequencies, ascending towards the fall, `level` logarithms of the power, and `chance` is its standard deviation by chance.
@@ -113,4 +90,4 @@ def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) ->
     fallen = float((plateau - 0.5 * (least[i] + most[b])).mean())
     lost = max(float(np.expm1(fallen)), 1.0)  # g = 1 / (1 + lost) at the middle
     half = middle - np.log(lost) / (2.0 * m)
-    return _Fall(half, half + min(_FLAT, np.log(chance) / (2.0 * m)))
+    return half, half + min(_FLAT, np.log(chance) / (2.0 * m))

@@ -11,15 +11,7 @@ from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.arrays import Spectra
-from monitor.inference.cross_spectra import (
-    accelerance,
-    clock_ratio,
-    extended,
-    force_colour,
-    force_root,
-    seen,
-    variances,
-)
+from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.input_response import motion_rms
@@ -65,11 +57,11 @@ def linearize(
     beyond, out = _power_above_band(posterior, x, everything), []
     shaken = posterior.unmeasured_share(everything) > 0.0
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
-    piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
+    piled, band_hz = e.segments.piled >= MIN_PILED, float(e.band.hz[-1])
     for k, row in enumerate(rms):
         excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         parts = row[:m], row[m : 2 * m], row[2 * m :]
-        out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
+        out.append(Condition(*parts, e.rms[k], excess_degc, e.segments.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
 
 
@@ -151,7 +143,7 @@ def _power_above_band(posterior: Posterior, x: Array, effects: Sequence[Effect])
     e, context = posterior.observed, posterior.context_at(x)
     system = extended(posterior.system(x, effects), effects, context, posterior.conditions[0])
     white = variances(system, e.counts @ posterior.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
-    noise = posterior.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
+    noise = posterior.noise(x) * (e.segments.rate_hz - 2.0 * e.band.hz[-1])
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
 
 
@@ -174,8 +166,7 @@ def _motion_roots(
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if posterior is None:
         return motion, motion
-    clock = clock_ratio(effects)
-    answer = seen(system, effects, hz, clock, context, posterior.conditions[k])
+    answer = seen(system, effects, hz, context, posterior.conditions[k])
     n_extra = answer.shape[2] - n - 1 - own_root.size
     own_root = np.concatenate([own_root, np.full(n_extra, np.sqrt(force.mean()))])
     channels = np.concatenate([answer[:, :, :n] @ root, colour * own_root * answer[:, :, n + 1 :]], axis=2)
@@ -188,4 +179,4 @@ def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None
     value = class_temperature(evidence, k, lag_s)
     if value is None:
         return 0.0
-    return value - (float(evidence.temperature[:, 1].mean()) if reference_degc is None else reference_degc)
+    return value - (float(evidence.segments.temperature[:, 1].mean()) if reference_degc is None else reference_degc)

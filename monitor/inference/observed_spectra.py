@@ -14,7 +14,7 @@ from monitor.inference.arrays import Spectra, Transforms, mean_products
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
-from monitor.signals import overlap_correlation
+from monitor.signals import bin_correlation, overlap_correlation
 
 _LEVEL_CLASSES = 5
 """Most classes of vibration level. [count; judgement]"""
@@ -40,18 +40,9 @@ class ObservedSpectra:
     """Independent pieces of information in a segment and bin; less than one, since overlap and taper correlate neighbours."""
     rms: Annotated[Array, "classes c"]
     """RMS of every channel's source samples, m/s^2."""
-    peak: Annotated[Array, "c"]
-    """Largest magnitude of every channel's source samples, m/s^2."""
-    piled: Annotated[NDArray[np.int64], "c"]
-    """Number of each channel's samples that share its largest magnitude."""
     members: tuple[NDArray[np.intp], ...]
     """Indices of the segments of every class."""
-    t_s: Annotated[Array, "segments"]
-    """Middle of every segment, s since the recording's first sample."""
-    temperature: Annotated[Array, "readings 2"]
-    """Readings: s since the recording's first sample, degC."""
     band: Band
-    rate_hz: float
     samples: int
     segments: Segments
     """Segments that were averaged."""
@@ -69,7 +60,7 @@ class ObservedSpectra:
     @property
     def label(self) -> Annotated[NDArray[np.intp], "segments"]:
         """Class of every segment."""
-        out = np.empty(self.t_s.size, dtype=np.intp)
+        out = np.empty(self.level.size, dtype=np.intp)
         for k, m in enumerate(self.members):
             out[m] = k
         return out
@@ -79,13 +70,9 @@ class ObservedSpectra:
         return float(self.weight * self.counts.sum() * n_bins)
 
 
-_BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
-"""Squared correlations of neighbouring bins, one and two apart. [1; definition: Hann taper]"""
-
-
 def information_weight() -> float:
     """Compute the independent pieces of information in a segment and bin."""
-    return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
+    return 1.0 / (bin_correlation() * (1.0 + 2.0 * overlap_correlation()))
 
 
 def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> ObservedSpectra:
@@ -114,13 +101,8 @@ def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> Obser
         counts=np.array([float(m.size) for m in members]),
         weight=information_weight(),
         rms=np.stack([np.sqrt((segments.rms[m] ** 2).mean(axis=0)) for m in members]),
-        peak=segments.peak,
-        piled=segments.piled,
         members=members,
-        t_s=segments.t_s,
-        temperature=segments.temperature,
         band=segments.band,
-        rate_hz=segments.rate_hz,
         samples=segments.samples,
         segments=replace(segments, drive=None),
         level=relative,
@@ -207,6 +189,6 @@ def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float
 
 def class_temperature(evidence: ObservedSpectra, k: int, lag_s: float) -> float | None:
     """Compute the mean temperature of class k after a first-order lag of `lag_s`, degC; None where it was not measured."""
-    length_s = 1.0 / evidence.band.bin_hz
-    degc = _mean_temperature(evidence.temperature, evidence.t_s[evidence.members[k]], length_s, lag_s)
+    read, length_s = evidence.segments, 1.0 / evidence.band.bin_hz
+    degc = _mean_temperature(read.temperature, read.t_s[evidence.members[k]], length_s, lag_s)
     return None if degc is None else float(degc.mean())

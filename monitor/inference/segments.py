@@ -18,13 +18,13 @@ from monitor.inference import input_response
 from monitor.inference.arrays import Transforms
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive, Input
-from monitor.inference.judged_band import JudgedBand, find_judged_band
+from monitor.inference.judged_band import find_judged_band
 from monitor.signals import (
     Conditioner,
     Drift,
-    FilterRun,
     FrontEnd,
     SegmentDesign,
+    Stream,
     alignment,
     channel_faults,
     conditioned,
@@ -140,7 +140,7 @@ class Segments:
             values=self.values[:, chosen],
             above=self.above + 2.0 * self.band.bin_hz * higher,
             drift=None if self.drift is None else self.drift[chosen],
-            band=self.band.part(JudgedBand(chosen, self.band.forces_hz)),
+            band=self.band.part(chosen, self.band.forces_hz),
         )
 
     def with_inputs(self) -> Annotated[ComplexArray, "segments bins streams"]:
@@ -152,16 +152,9 @@ class Segments:
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask."""
         share = float(chosen.mean()) if chosen.size else 0.0
-        return replace(
-            self,
-            values=self.values[chosen],
-            t_s=self.t_s[chosen],
-            rms=self.rms[chosen],
-            above=self.above[chosen],
-            peaks=self.peaks[chosen],
-            drive=None if self.drive is None else self.drive.part(chosen),
-            samples=round(self.samples * share),
-        )
+        drive = None if self.drive is None else self.drive.part(chosen)
+        own = {name: getattr(self, name)[chosen] for name in ("values", "t_s", "rms", "above", "peaks")}
+        return replace(self, drive=drive, samples=round(self.samples * share), **own)
 
 
 def gather(
@@ -198,8 +191,7 @@ def gather(
         )
     # What shakes the structure is known where inputs were measured, and has to be found in the response elsewhere.
     shown = transforms[:, first : last + 1] if drive is None else drive.measured(whole)
-    judged = find_judged_band(np.asarray(shown / np.sqrt(whole.gain)[:, None], dtype=complex), whole.hz)
-    band = whole.part(judged)
+    band = find_judged_band(shown, whole)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     drifts = sensor_drift.find_drift(transforms[:, : last + 1], first)
     drift = sensor_drift.density(drifts, whole.n_bins, len(front_end.channels))
@@ -224,20 +216,20 @@ def gather(
             *(_left_out_of_drift(d, front_end.channels[d.channel], whole) for d in drifts),
             *_hum(transforms, floors),
         ),
-        drift=None if drift is None else drift[judged.judged],
+        drift=None if drift is None else drift[band.first - first :][: band.n_bins],
     )
     return replace(segments.part(covered), drive=drive)
 
 
 def _read(
     blocks: Iterable[SampleBlock], front_end: FrontEnd
-) -> tuple[_Floors, dict[str, _Stream], list[tuple[int, float]]]:
+) -> tuple[_Floors, dict[str, Stream], list[tuple[int, float]]]:
     """Condition a recording's blocks: the floors, the inputs by topic, and readings of temperature (UTC ns, degC)."""
     blocks = iter(blocks)
     head = list(islice(blocks, _INPUT_TEST_BLOCKS))
     known = {GROUND, FORCE} if front_end.forces else {GROUND}
     floors = _Floors(front_end, _DRIVEN_SEGMENT_S if any(b.topic in known for b in head) else front_end.segment_s)
-    inputs: dict[str, _Stream] = {}
+    inputs: dict[str, Stream] = {}
     temperature: list[tuple[int, float]] = []
     for block in chain(head, blocks):
         if block.topic == ACCELERATION:
@@ -245,7 +237,7 @@ def _read(
         elif block.topic in known:
             if block.topic not in inputs:
                 names = tuple(name for name, _ in front_end.forces) if block.topic == FORCE else block.channels[:1]
-                inputs[block.topic] = _Stream(replace(front_end, channels=names))
+                inputs[block.topic] = Stream(replace(front_end, channels=names))
             inputs[block.topic].push(block)
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
@@ -254,14 +246,14 @@ def _read(
 
 
 def _keep_strongest(
-    inputs: Mapping[str, _Stream], floors: _Floors, band: Band, most: int, lead_s: float
+    inputs: Mapping[str, Stream], floors: _Floors, band: Band, most: int, lead_s: float
 ) -> tuple[Drive, NDArray[np.bool_]] | None:
     """Locate the floors' segments in the inputs as `input_response.locate` does, but keep at most `most` consecutive ones.
 
     The kept segments are those with the largest inputs.
     """
     design, t_ns = floors.design, list(floors.segments)
-    runs = input_response.joined([stream.joined_runs() for stream in inputs.values()], design.rate_hz)
+    runs = input_response.joined([stream.runs() for stream in inputs.values()], design.rate_hz)
     if not runs:
         return None
     forces = [Input(*force) for force in floors.front_end.forces]
@@ -292,47 +284,16 @@ def _keep_strongest(
     return located[0], kept
 
 
-class _Stream:
-    """One topic's samples, conditioned."""
-
-    def __init__(self, front_end: FrontEnd) -> None:
-        self.front_end, self._align = front_end, alignment.start()
-        self._filters: FilterRun | None = None
-        self.runs: list[tuple[int, list[Array]]] = []
-        """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns."""
-
-    def push(self, block: SampleBlock) -> int:
-        """Condition a block's samples, and return how many of its instants have all channels."""
-        self._align, pieces = self.front_end.align(self._align, block)
-        for piece in pieces:
-            if self._filters is None or piece.gap is not None:
-                self.front_end.check_rate(piece.rate_hz)
-            self._filters, part = conditioned.step(self._filters, piece, self.front_end)
-            if part.begins:
-                self.runs.append((piece.t_ns, []))
-            self._keep(piece, part)
-        return sum(len(piece.values) for piece in pieces)
-
-    def _keep(self, piece: alignment.Piece, part: conditioned.Conditioned) -> None:
-        """Keep what was made of a piece."""
-        self.runs[-1][1].append(part.values)
-
-    def joined_runs(self) -> list[tuple[int, Array]]:
-        """Join the conditioned samples of every run, with the time of the run's first sample, UTC ns."""
-        return [(t_ns, np.concatenate(values)) for t_ns, values in self.runs]
-
-
-class _Floors(_Stream):
+class _Floors(Stream):
     """The floors' samples, which are cut into segments too, and described for faults of their sensors."""
 
     design: SegmentDesign
-    conditioner: Conditioner
-    """That of the latest run."""
     t0_ns: int
     """UTC of the first run."""
 
     def __init__(self, front_end: FrontEnd, segment_s: float) -> None:
-        super().__init__(front_end)
+        # The conditioned samples only tell faults of a sensor, for which half the memory is enough.
+        super().__init__(front_end, np.float32)
         self._segment_s, self._n = segment_s, 0
         self._lost = np.zeros(len(front_end.channels), dtype=np.int64)
         """Number of samples of each channel that are not finite."""
@@ -346,24 +307,20 @@ class _Floors(_Stream):
         """Properties of the source's samples in every cell of every run."""
 
     @override
-    def push(self, block: SampleBlock) -> int:
-        kept = super().push(block)
-        if kept < len(block.samples):
+    def push(self, block: SampleBlock) -> list[tuple[alignment.Piece, conditioned.Conditioned]]:
+        parts = super().push(block)
+        if sum(len(piece.values) for piece, _ in parts) < len(block.samples):
             self._lost += (~np.isfinite(alignment.select(block, self.front_end.channels))).sum(axis=0)
         self._n += len(block.samples)
-        return kept
-
-    @override
-    def _keep(self, piece: alignment.Piece, part: conditioned.Conditioned) -> None:
-        if part.begins:
-            self._begin_run(piece, part.conditioner)
-        # The conditioned samples only tell faults of a sensor, for which half the memory is enough.
-        self.runs[-1][1].append(part.values.astype(np.float32))
-        self._describe_cells(piece.values)
-        self.seconds += part.values.shape[0] / self.conditioner.rate_hz
-        self._update_peak(np.abs(piece.values))
-        self._raw.append(piece.values)
-        self._cut_segments(part.values)
+        for piece, part in parts:
+            if part.begins:
+                self._begin_run(piece.t_ns)
+            self._describe_cells(piece.values)
+            self.seconds += part.values.shape[0] / self.conditioner.rate_hz
+            self._update_peak(np.abs(piece.values))
+            self._raw.append(piece.values)
+            self._cut_segments(part.values)
+        return parts
 
     def _silent_channels(self) -> str:
         """Say which channels have next to no samples, so that no instant has all channels; empty where none has so few."""
@@ -382,13 +339,12 @@ class _Floors(_Stream):
         self.peak = np.maximum(self.peak, top)
         self.piled += (magnitude >= self.peak * (1.0 - _CLIPPED_TOLERANCE)).sum(axis=0)
 
-    def _begin_run(self, piece: alignment.Piece, conditioner: Conditioner) -> None:
+    def _begin_run(self, t_ns: int) -> None:
         """Begin a run of samples without a gap."""
-        self.conditioner = conditioner
-        if len(self.runs) == 1:
-            self.design, self.t0_ns = self._design_segments(), piece.t_ns
-        self._done = 0
-        """Conditioned samples of the run before the next segment."""
+        if not self.facts:
+            self.design, self.t0_ns = self._design_segments(), t_ns
+        self._begin_ns, self._done = t_ns, 0
+        """UTC of the run's first sample, and its conditioned samples before the next segment."""
         self._rest = self._before = np.zeros((0, self.peak.size))
         """Conditioned samples of the next segment; and the two source samples before the next cell."""
         self._cell: list[Array] = []
@@ -417,12 +373,12 @@ class _Floors(_Stream):
                 f"{self.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {3.5 * self._segment_s:.0f} s"
                 f"{self._silent_channels()}"
             )
-        design, names, runs = self.design, self.front_end.channels, self.joined_runs()
+        design, names, runs = self.design, self.front_end.channels, self.runs()
         found: dict[tuple[int, str], list[float]] = {}
-        for fault in channel_faults.find_faults([values for _, values in runs], self.facts):
+        for fault in channel_faults.find_faults([run.values for run in runs], self.facts):
             if self.piled[fault.channel] >= MIN_PILED:
                 continue
-            begin, end = (runs[fault.run][0] + round(n / design.rate_hz * 1e9) for n in (fault.begin, fault.end))
+            begin, end = (runs[fault.run].t_ns + round(n / design.rate_hz * 1e9) for n in (fault.begin, fault.end))
             length_ns = round(1e9 / design.step_hz)
             for t_ns in [t for t in self.segments if t < end and t + length_ns > begin]:
                 del self.segments[t_ns]
@@ -459,7 +415,7 @@ class _Floors(_Stream):
         n = self.design.n
         rest = np.concatenate([self._rest, values])
         while rest.shape[0] >= n:
-            t_ns = self.runs[-1][0] + round(self._done / self.design.rate_hz * 1e9)
+            t_ns = self._begin_ns + round(self._done / self.design.rate_hz * 1e9)
             raw = np.concatenate(self._raw)
             n_raw = round(n * self.conditioner.rate_in_hz / self.design.rate_hz)
             if self._done:  # the first half segment contains the filter's transient

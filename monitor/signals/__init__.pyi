@@ -18,7 +18,7 @@ from .beside import BesideState as BesideState
 from .channel_faults import FALSE_RATE as FALSE_RATE
 from .channel_watch import WatchState as WatchState
 from .clock_line import SampleClock as SampleClock, sample_clock as sample_clock
-from .conditioned import FilterRun as FilterRun
+from .conditioned import FilterRun as FilterRun, Stream as Stream
 from .flags import runs_of as runs_of
 from .front_end import FrontEnd as FrontEnd
 from .held import each_once as each_once, times_held as times_held

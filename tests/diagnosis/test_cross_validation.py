@@ -9,11 +9,11 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.diagnosis.cross_validation import (
+    HeldOut,
     HeldOutGain,
     calibration_nats,
     confirm_on_held_out,
     confirms,
-    heldout_gain,
     without_any_cause,
 )
 from monitor.diagnosis.fold_refit import fitted_model
@@ -93,7 +93,7 @@ def test_a_level_dependent_law_is_judged_at_the_level_that_the_model_shows(clean
 
 def test_a_true_cause_gains_on_data_that_it_was_not_fitted_to(damped: Segments) -> None:
     found = explained_by(parse_effect(DAMPER), damped)
-    gain = heldout_gain(damped, found)
+    gain = HeldOut.of(damped, found).gain_over(found.null_fit)
     assert 0.0 < gain.ci95[0] < gain.value < gain.ci95[1]
     assert gain.value == pytest.approx(gain.after - gain.before)
     assert "blocks" in gain.heldout and not gain.csd_error_rises
@@ -107,7 +107,7 @@ def test_each_cause_must_gain_beside_those_before_it(damped: Segments) -> None:
     both = maximize_posterior(alone.posterior, alone.null_fit.x, effects)
     causes = tuple(Cause.of(effect, np.ones(1)) for effect in both.effects)
     together = replace(alone, causes=causes, final_fit=both)
-    assert heldout_gain(damped, together).is_significant
+    assert HeldOut.of(damped, together).gain_over(together.null_fit).is_significant
     found = replace(alone, causes=causes, final_fit=both, simulation_std=np.zeros(2), rounds=((), ()))
     settled, gain = confirm_on_held_out(damped, found)
     assert [c.effect.name for c in settled.causes] == ["story_damper"]
@@ -132,7 +132,7 @@ def test_alternatives_are_withdrawn_before_what_stands_beside_them(damped: Segme
 def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
     config = settings()
     found = explained_by(parse_effect(DAMPER), damped)
-    gain = heldout_gain(damped, found)
+    gain = HeldOut.of(damped, found).gain_over(found.null_fit)
     before, after = (
         score(damped, fitted_model(found.posterior, at), context_of(config)).log_score_per_sample
         for at in (found.null_fit, found.final_fit)
@@ -144,7 +144,7 @@ def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
 
 def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segments) -> None:
     found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
-    gain = heldout_gain(clean, found)
+    gain = HeldOut.of(clean, found).gain_over(found.null_fit)
     assert gain.ci95[0] <= 0.0
     settled, stated = confirm_on_held_out(clean, found)
     assert stated == HeldOutGain()
@@ -159,7 +159,7 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
 
 def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segments) -> None:
     found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
-    assert heldout_gain(clean, found).calibration == 0.0  # a drawing is no data
+    assert HeldOut.of(clean, found).gain_over(found.null_fit).calibration == 0.0  # a drawing is no data
     learnt = replace(found.posterior.prior, basis=np.zeros((1, 3, 3)))
     far = found.null_fit.x.copy()
     far[0] += 5.0 * learnt.units[0]
@@ -186,7 +186,7 @@ def test_an_ambiguous_answer_needs_the_gain_of_its_best_alternative(clean: Segme
 
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
     found = explained_by(parse_effect(DAMPER), clean)
-    gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found)
+    gain = HeldOut.of(clean.part(np.arange(clean.t_s.size) < 3), found).gain_over(found.null_fit)
     assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
     assert "too short" in gain.withheld
     assert confirms(found, found.final_fit.effects, gain)  # the headline says why there is no gain
@@ -198,7 +198,8 @@ def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
     segments = recorded((stiffening,), seed=43)
     found = explained_by(stiffening, segments)
     posterior, final_fit = refine_fit(found.posterior, found.final_fit)
-    gain = heldout_gain(segments, replace(found, posterior=posterior, final_fit=final_fit))
+    fitted = replace(found, posterior=posterior, final_fit=final_fit)
+    gain = HeldOut.of(segments, fitted).gain_over(fitted.null_fit)
     assert gain.ci95[0] > 0.0
     assert gain.csd_error_after < 0.5 * gain.csd_error_before
 

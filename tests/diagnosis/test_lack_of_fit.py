@@ -27,7 +27,7 @@ def shaken() -> tuple[Posterior, MapEstimate]:
 def test_wind_that_moves_from_floor_to_floor_is_no_drift(shaken: tuple[Posterior, MapEstimate]) -> None:
     problem, null = shaken
     e = problem.observed
-    late = e.t_s > np.median(e.t_s)
+    late = e.segments.t_s > np.median(e.segments.t_s)
     values = e.segments.values.copy()
     rng = np.random.default_rng(3)
     for half, factors in ((late, [0.6, 1.0, 1.5]), (~late, [1.5, 1.0, 0.6])):

@@ -14,7 +14,7 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration, configuration
 from monitor.damage import load_baseline
-from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
+from monitor.diagnosis.backbone import find_level_dependence, find_ratio_change
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.score_test import fit_candidate
@@ -69,7 +69,7 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
     told = find_ratio_change(problem, joints.fit)
     assert told.says.startswith("frequency ratios: f2/f1 3.0")
     assert _beside_a_reference_with(joints.fit, problem) is None, "the reference has these ratios already"
-    softer = find_level_dependence(backbone(problem, null))
+    softer = find_level_dependence(problem, null)
     assert "falls with the level, from 3.7" in softer.says
 
 

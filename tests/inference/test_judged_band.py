@@ -12,6 +12,7 @@ from scipy.linalg import eigh
 from drivers.base import ACCELERATION
 from monitor.core import BadInputError
 from monitor.diagnosis import healthy_prior
+from monitor.inference.cross_spectra import Band
 from monitor.inference.exact_simulation import draw_forces
 from monitor.inference.judged_band import find_judged_band
 from monitor.inference.observed_spectra import classify
@@ -24,7 +25,8 @@ from tests.support.frames import shear_frame
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-HZ = 2.0 + 0.05 * np.arange(681)
+WHOLE = Band(40, 681, 0.05, np.ones(681))
+HZ = WHOLE.hz
 N_SEGMENTS = 118
 
 
@@ -58,7 +60,7 @@ def drawn(root: ComplexArray, noise: float = 1e-3, seed: int = 0) -> ComplexArra
 
 
 def is_whole(root: ComplexArray, noise: float = 1e-3) -> bool:
-    return find_judged_band(drawn(root, noise), HZ).judged == slice(0, HZ.size)
+    return find_judged_band(drawn(root, noise), WHOLE).n_bins == HZ.size
 
 
 def where(condition: NDArray[np.bool_]) -> Array:
@@ -79,44 +81,44 @@ def test_what_a_structure_answers_to_forces_is_judged_in_the_whole_band(n: int, 
 
 @pytest.mark.parametrize("end_hz", [12.0, 18.0, 25.0])
 def test_forces_that_end_are_found_to_end_there(end_hz: float) -> None:
-    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * where(end_hz > HZ)), HZ)
+    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * where(end_hz > HZ)), WHOLE)
     assert found.forces_hz == (0.0, pytest.approx(end_hz, rel=0.01))
-    assert 0.88 * end_hz < HZ[found.judged][-1] < 0.92 * end_hz
-    assert HZ[found.judged][0] == HZ[0]
+    assert 0.88 * end_hz < found.hz[-1] < 0.92 * end_hz
+    assert found.first == WHOLE.first
 
 
 def test_the_force_on_one_floor_is_found_to_end() -> None:
     shaken_by_one = chain(3, 3.0, seed=1)[0][:, :, 1:2] * where(HZ < 18.0)
-    assert find_judged_band(drawn(shaken_by_one, noise=1e-6), HZ).forces_hz[1] == pytest.approx(18.0, rel=0.02)
+    assert find_judged_band(drawn(shaken_by_one, noise=1e-6), WHOLE).forces_hz[1] == pytest.approx(18.0, rel=0.02)
 
 
 def test_what_a_nonlinear_law_excites_beyond_does_not_hide_the_end() -> None:
     forced = chain(3, 5.4, seed=3)[0] * where(HZ < 18.0)
     by_law = chain(3, 5.4, seed=3)[0][:, :, 1:2] * where(HZ > 18.0)
-    found = find_judged_band(drawn(np.concatenate([forced, by_law], axis=2)), HZ)
+    found = find_judged_band(drawn(np.concatenate([forced, by_law], axis=2)), WHOLE)
     assert found.forces_hz[1] == pytest.approx(18.0, rel=0.02)
 
 
 def test_a_steep_filter_is_judged_where_it_passes_all() -> None:
     passed = 1.0 / (1.0 + (HZ / 18.0) ** 24)
-    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * np.sqrt(passed)[:, None, None]), HZ)
+    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * np.sqrt(passed)[:, None, None]), WHOLE)
     assert found.forces_hz[1] == pytest.approx(18.0, rel=0.05)
-    assert passed[found.judged].min() > 0.9
+    assert passed[found.hz[-1] >= HZ].min() > 0.9
 
 
 def test_forces_of_two_octaves_begin_and_end() -> None:
     inside = where((HZ > 4.0) & (HZ < 16.0))
-    found = find_judged_band(drawn(chain(2, 6.0, seed=1)[0] * inside, noise=1e-4), HZ)
+    found = find_judged_band(drawn(chain(2, 6.0, seed=1)[0] * inside, noise=1e-4), WHOLE)
     assert found.forces_hz == (pytest.approx(4.0, rel=0.05), pytest.approx(16.0, rel=0.01))
-    assert 4.0 < HZ[found.judged][0] < 4.7
-    assert 14.0 < HZ[found.judged][-1] < 14.7
+    assert 4.0 < found.hz[0] < 4.7
+    assert 14.0 < found.hz[-1] < 14.7
 
 
 def test_a_machine_beyond_the_end_does_not_hide_it() -> None:
     forced = chain(3, 3.0, seed=1)[0]
     root = forced * where(HZ < 18.0)
     root[np.abs(HZ - 30.0) < 0.11] = 10.0 * np.abs(forced).max()
-    assert find_judged_band(drawn(root), HZ).forces_hz[1] == pytest.approx(18.0, rel=0.01)
+    assert find_judged_band(drawn(root), WHOLE).forces_hz[1] == pytest.approx(18.0, rel=0.01)
 
 
 def test_a_channel_that_falls_alone_is_no_end_of_the_forces() -> None:
@@ -128,7 +130,7 @@ def test_a_channel_that_falls_alone_is_no_end_of_the_forces() -> None:
 def test_a_dead_channel_is_no_end_of_the_forces() -> None:
     transforms = drawn(chain(3, 3.0, seed=1)[0])
     transforms[:, :, 2] = 0.0
-    assert find_judged_band(transforms, HZ).judged == slice(0, HZ.size)
+    assert find_judged_band(transforms, WHOLE).n_bins == HZ.size
 
 
 CONFIG = shear_frame([0.33, 0.35], [900.0, 1100.0])

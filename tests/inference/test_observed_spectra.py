@@ -19,9 +19,12 @@ def classes(level: np.ndarray, cut: Cut) -> list[np.ndarray]:
     """List the middles of the segments of each class, s, of steady motion times a level."""
     floors = simulate(FRAME, duration_s=1200.0, rate_hz=RATE, noise=0.02, level_spread=0.0, seed=3).floors
     observed = classify(gather(cut(floors * level[:, None], RATE), FRONT_END))
-    assert observed.counts.tolist() == [m.size for m in observed.members] and observed.counts.sum() == observed.t_s.size
-    assert sorted(np.concatenate(observed.members)) == list(range(observed.t_s.size))
-    return [observed.t_s[m] for m in observed.members]
+    assert (
+        observed.counts.tolist() == [m.size for m in observed.members]
+        and observed.counts.sum() == observed.segments.t_s.size
+    )
+    assert sorted(np.concatenate(observed.members)) == list(range(observed.segments.t_s.size))
+    return [observed.segments.t_s[m] for m in observed.members]
 
 
 def test_a_gust_is_a_class_of_its_own(cut: Cut) -> None:

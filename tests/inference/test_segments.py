@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from monitor.core import BadInputError
-from monitor.inference import LeftOut, Segments, classify, gather
+from monitor.inference import Segments, classify, gather
+from monitor.inference.segments import LeftOut
 from monitor.model import Model, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
 from tests.support.samples import CHANNELS, Cut
