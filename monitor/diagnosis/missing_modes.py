@@ -139,7 +139,9 @@ def _scaled_to_peak(posterior: Posterior, fit: MapEstimate, effect: Effect, peak
     level = float(counts @ posterior.forces(fit.x).mean(axis=1) / counts.sum())
     own = float(np.einsum("aa->", _spectra_of(posterior, fit, modes, level)[nearest]).real)
     factor = np.sqrt(float(peak.amplitude @ peak.amplitude) / _PEAK_BINS / own)
-    return effect.at(np.r_[effect.coordinates[:2], factor * effect.coordinates[2:]]) if factor > 0.0 else effect
+    return (
+        effect.at(np.r_[effect.coordinates[:2], factor * effect.coordinates[2:]]) if 0.0 < factor < np.inf else effect
+    )
 
 
 def _spectra_of(

@@ -327,10 +327,10 @@ def ground_density(
         part = np.exp(ln_density) * by_ground
         return float((part / (part + by_force)).mean()) - share
 
-    require_finite(by_force, by_ground)
     middle = float(np.log(by_force.mean() / by_ground.mean()))
     # At these densities every channel has less, or more, than its share; in a trial step they may lie far apart.
     ends = np.log(by_force / by_ground) + np.log(share / (1.0 - share))
+    require_finite(middle, ends)
     return float(np.exp(brentq(excess, min(middle - 25.0, ends.min()), max(middle + 25.0, ends.max()), xtol=1e-10)))
 
 

@@ -79,7 +79,7 @@ def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], s
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
         step = max(step, e.band.hz[-1] / _MAX_BINS)  # a damping ratio that the fit moves to zero
-        require_finite(step)
+        require_finite(step, lowest)
         top = e.band.hz[-1] * 1.2
         hz = np.arange(min(max(0.2 * lowest, step), top), top, step)
         motion, _ = _motion_roots(system, everything, hz, forces[k], rows, order, context)
