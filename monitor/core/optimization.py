@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -64,7 +63,7 @@ class Maximum(Generic[P, L]):
 def levenberg_marquardt(
     start: P,
     linearize: Callable[[P, L | None], L],
-    move: Callable[[P, L, Array, Callable[[Array], Array]], P],
+    move: Callable[[P, Array], P],
     *,
     iterations: int,
     tolerance: float,
@@ -74,8 +73,7 @@ def levenberg_marquardt(
 
     `linearize` linearizes the objective at a point; its second argument is the linearization before, whose slopes may serve once
     more where a step gained up to `fixed_slopes_gain` (nats), or None.  `move` evaluates the point that lies a step away from
-    another; it may shorten or bend the step, for which it is given the linearization and the solution of its damped equations.
-    The search has converged where a step gains less than the tolerance, nats.
+    another; it may shorten the step.  The search has converged where a step gains less than the tolerance, nats.
 
     References
     ----------
@@ -87,7 +85,7 @@ def levenberg_marquardt(
     >>> Parabola, Slopes = namedtuple("Parabola", "x value"), namedtuple("Slopes", "normal gradient")
     >>> at = lambda x: Parabola(x, -0.5 * float((x - 3.0) ** 2))
     >>> found = levenberg_marquardt(
-    ...     at(0.0), lambda p, last: Slopes(np.eye(1), np.array([3.0 - p.x])), lambda p, _, step, solve: at(p.x + step[0]),
+    ...     at(0.0), lambda p, last: Slopes(np.eye(1), np.array([3.0 - p.x])), lambda p, step: at(p.x + step[0]),
     ...     iterations=20, tolerance=1e-6, fixed_slopes_gain=0.0)
     >>> found.converged, round(float(found.point.x), 3)
     (True, 3.0)
@@ -102,11 +100,10 @@ def levenberg_marquardt(
         scale = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
         scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
         for _ in range(_MAX_REFUSED):
-            solve = partial(_solve, scaled + (damping + 1e-12) * identity, scale)
-            step = solve(gradient)
+            step = scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * gradient)
             if not np.isfinite(step).all():
                 return Maximum(point, linearization, False)
-            moved = move(point, linearization, step, solve)
+            moved = move(point, step)
             if moved.value > point.value - _ROUNDING_NATS:
                 break
             damping = max(_DAMPING_FACTOR * damping, _LEAST_RAISED_DAMPING)
@@ -117,8 +114,3 @@ def levenberg_marquardt(
         if gain < tolerance:
             return Maximum(point, linearization, True)
     return Maximum(point, linearization, False)
-
-
-def _solve(scaled: Array, scale: Array, side: Array) -> Array:
-    """Solve the equations of the scaled matrix for a side that is not scaled."""
-    return np.asarray(scale * np.linalg.solve(scaled, scale * side))

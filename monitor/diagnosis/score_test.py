@@ -10,7 +10,6 @@ from itertools import chain
 from typing import Annotated
 
 import numpy as np
-from scipy.stats import chi2
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import first_guess, fit_exact_slopes
@@ -29,8 +28,9 @@ from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, i
 
 _log = logging.getLogger(__name__)
 
-_CHANCE = 1e-3
-"""Chance with which a structure lies as far from its prior as a fit that counts as far from it. [probability; judgement]"""
+_MIN_LOG_PRIOR = -20.0
+"""Log prior below which the model without the effect lies so far from its prior that a fit starts better from the
+prior. [nats; judgement]"""
 _ROUGH_FIT_NATS = 3.0
 """Gain that a rough fit may miss. [nats; judgement]"""
 _HELD_STRUCTURE_PRECISION = 1e8
@@ -280,7 +280,7 @@ def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
         return False
     at, n_held = posterior.prior.mean.copy(), _n_held(posterior)
     at[:n_held] = null_fit.x[:n_held]
-    return posterior.prior.log_density(at) < -0.5 * float(chi2.isf(_CHANCE, n_held))
+    return posterior.prior.log_density(at) < _MIN_LOG_PRIOR
 
 
 def _n_held(posterior: Posterior) -> int:
@@ -311,7 +311,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 
 
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> Ranked:
-    """Fit effects with the structure at its prior mean, then roughly with it free; return gains, nats."""
+    """Fit effects with the structure at its prior mean, then roughly with it free, the best to the end; return gains, nats."""
 
     def fitted(effect: Effect) -> MapEstimate:
         near = _fit_at_prior(posterior, null_fit, effect)[1]
@@ -320,6 +320,9 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
         )
 
     fits = parallel_map(fitted, effects)
+    if fits:
+        best = max(range(len(fits)), key=lambda i: fits[i].log_posterior)
+        fits[best] = maximize_posterior(posterior, fits[best].x, fits[best].effects, iterations=FAR)
     return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
 
 

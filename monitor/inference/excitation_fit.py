@@ -21,7 +21,7 @@ from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.posterior import (
     LEVEL_STD,
-    MAX_LOG_STEP,
+    MAX_EXCITATION_STEP,
     NUDGE,
     Posterior,
 )
@@ -213,8 +213,8 @@ def _fit_by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] 
     return levenberg_marquardt(
         fit.evaluate(x),
         fit.linearize,
-        lambda at, _, step, __: fit.evaluate(
-            fit.with_excitation(at.x[fit.free] + np.clip(step, -MAX_LOG_STEP, MAX_LOG_STEP))
+        lambda at, step: fit.evaluate(
+            fit.with_excitation(at.x[fit.free] + np.clip(step, -MAX_EXCITATION_STEP, MAX_EXCITATION_STEP))
         ),
         iterations=iterations,
         tolerance=_MIN_GAIN_NATS,

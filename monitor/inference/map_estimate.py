@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated
 
 import numpy as np
 
 from monitor.core import Array, levenberg_marquardt
 from monitor.inference.forward_model import Prediction
-from monitor.inference.posterior import MAX_LOG_STEP, Posterior, with_coordinates
+from monitor.inference.posterior import MAX_EXCITATION_STEP, Posterior, with_coordinates
 from monitor.inference.spectral_slopes import JoinedSlopes, RowSlopes, Slopes
 from monitor.inference.trial import require_finite, tried
 from monitor.model import Effect, inverse
@@ -22,10 +21,10 @@ _MAX_DAMPING_STEP = 1.0
 """Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
 _MAX_SIZE_STEP = 0.5
 """Longest step of the logarithm of a size of an effect. [1; judgement: a factor of 1.6]"""
-_BENDING_SHARE = 0.1
-"""Share of a step over which the spectra's second derivative is taken. [ratio; Transtrum and Sethna 2012]"""
+_MAX_EFFECT_STEP = 0.5
+"""Longest step of the parameters of effects that are part of the model already. [effect's own unit; judgement]"""
 _FIXED_SLOPES_GAIN = 1.0
-"""Gain of a step below which the slopes are not computed again, and the step is not bent. [nats; judgement]"""
+"""Gain of a step below which the slopes are not computed again. [nats; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -126,7 +125,6 @@ def _maximize(
     """As `maximize_posterior`; raises where something cannot be computed, see `tried`."""
     start = _evaluate(posterior, x, effects)
     stays_stable = posterior.is_stable(start.x, effects)
-    has_peaks = any(e.is_narrow for e in effects)  # where a peak must move, what is near it leads it astray
 
     def evaluate(at: _Point, step: Array) -> _Point:
         moved = at.x + step
@@ -136,11 +134,10 @@ def _maximize(
             return nowhere
         return tried(lambda: _evaluate(posterior, moved, extra), nowhere)
 
-    def move(at: _Point, last: _Slopes, step: Array, solve: Callable[[Array], Array]) -> _Point:
-        steps = shortened_steps(posterior, step, at.effects)
-        if frozen is None and not has_peaks and last.gradient @ step > _FIXED_SLOPES_GAIN:
-            steps = tuple(tried(partial(_bent, posterior, at, last, s, solve), s) for s in steps)
-        return max((evaluate(at, s) for s in steps), key=lambda point: point.value)
+    def move(at: _Point, step: Array) -> _Point:
+        return max(
+            (evaluate(at, s) for s in shortened_steps(posterior, step, at.effects)), key=lambda point: point.value
+        )
 
     search = levenberg_marquardt(
         start,
@@ -224,28 +221,6 @@ def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: S
     return _Slopes(slopes, residual, mean_residual, slopes.information + precision, gradient)
 
 
-def _bent(
-    posterior: Posterior, at: _Point, last: _Slopes, step: Array, solve: Callable[[Array], Array]
-) -> Annotated[Array, "p"]:
-    """Bend a step so that it follows the valley of the posterior to second order (geodesic acceleration).
-
-    The spectra's second derivative along the step, by differences, is compensated, unless the step would bend too much for that.
-
-    References
-    ----------
-    M. K. Transtrum, J. P. Sethna, arXiv:1201.5885 (2012).
-    """
-
-    def changed(share: float) -> Array:
-        moved = at.x + share * step
-        extra = with_coordinates(at.effects, moved[posterior.layout.effects])
-        return posterior.whitened_change(at.prediction, posterior.predict(moved, extra))
-
-    second = (changed(_BENDING_SHARE) + changed(-_BENDING_SHARE)) / _BENDING_SHARE**2
-    bend = -0.5 * solve(last.slopes.along(second))
-    return step + bend if bend @ last.normal @ bend < step @ last.normal @ step else step
-
-
 def shortened_steps(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> tuple[Array, ...]:
     """Shorten a step to its bounds, so that a fit from a bad start does not diverge.
 
@@ -255,8 +230,8 @@ def shortened_steps(posterior: Posterior, step: Array, effects: Sequence[Effect]
     bound, layout = np.full(step.size, np.inf), posterior.layout
     bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = _MAX_STRUCTURE_STEP
     bound[layout.damping] = bound[layout.channel_noise] = _MAX_DAMPING_STEP
-    bound[layout.excitation] = MAX_LOG_STEP
-    bound[layout.persistent] = MAX_LOG_STEP * posterior.prior.units[layout.persistent]
+    bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
+    bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)
     longest = float((np.abs(step) / bound).max())

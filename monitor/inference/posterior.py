@@ -37,9 +37,8 @@ LEVEL_STD = 5.0
 _NOISE_STD = 3.0
 """Prior standard deviation of the logarithm of the noise density that the channels share. [1; judgement: a factor
 of 20]"""
-MAX_LOG_STEP = 2.0
-"""Longest step of a fit in a logarithm that is not a stiffness' or a mass', and in the units of a persistent effect.
-[1; judgement: a factor of 7]"""
+MAX_EXCITATION_STEP = 2.0
+"""Longest step of a fit in the logarithm of a force, a level or the noise. [1; judgement: a factor of 7]"""
 NUDGE = 1e-5
 """Finite difference of a nuisance parameter, most of which are logarithms. [1; rounding]"""
 

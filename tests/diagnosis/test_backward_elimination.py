@@ -37,7 +37,7 @@ def loaded() -> tuple[Posterior, MapEstimate]:
 def test_a_candidate_gets_no_credit_for_what_the_model_without_it_could_have_done() -> None:
     problem, null = prepared()
     x = null.x.copy()
-    x[:3] += 0.2
+    x[:3] += 0.05
     stuck = maximize_posterior(problem, x, iterations=1)
     tried = [
         RefittedCandidate(

@@ -75,16 +75,6 @@ def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> N
     assert far_from_prior(problem, null) and not far_from_prior(problem, beside_mode)
 
 
-@pytest.mark.parametrize(("off", "is_far"), [(1.0, False), (3.0, True)])
-def test_a_structure_is_far_from_its_prior_only_if_chance_would_not_lead_there(off: float, is_far: bool) -> None:
-    """A hundred known numbers, each off by its standard deviation, lie twenty nats from their prior and more."""
-    problem, null = fitted(recorded(seed=9, duration_s=200.0, noise=0.05), std=0.01)
-    known = problem.prior
-    x = null.x.copy()
-    x[: known.mean.size] = known.mean + off / np.sqrt(np.diag(known.precision))
-    assert far_from_prior(problem, replace(null, x=x)) is is_far
-
-
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channel: int) -> None:
     """A hundred times less noise than motion: what 2 % makes of the spectra is no straight line."""
