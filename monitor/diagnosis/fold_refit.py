@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from monitor.diagnosis.initial_fit import fit_exact_slopes
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference import (
-    ExcitationStart,
-    MapEstimate,
-    ObservedSpectra,
-    Posterior,
-    linearize,
-    maximize_posterior,
-)
+from monitor.inference import ExcitationStart, MapEstimate, ObservedSpectra, Posterior, linearize, maximize_posterior
 from monitor.model import Model
 
 _MIN_DAMPING = 1e-9

@@ -398,11 +398,10 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
 
 
 def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Annotated[Array, "nuisances"]) -> MapEstimate | None:
-    """Refit the modes that the model lacks without coupling, as they are seen; return None where none is coupled, or
-    no structure is near without.
+    """Refit the modes that the model lacks without coupling, as they are seen; return None where that cannot be.
 
-    The fit starts from `start`, parameters of the model and of the excitation: those of the coupled fit have followed the
-    coupling.
+    None of them may be coupled, or no structure be near without the couplings.  The fit starts from `start`, parameters of the
+    model and of the excitation: those of the coupled fit have followed the coupling.
     """
     is_coupled = [e.is_coupled(posterior.context) for e in fit.effects]
     if not any(is_coupled):

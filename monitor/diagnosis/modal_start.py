@@ -94,7 +94,7 @@ def identify_modes(
 
 def _window(observed: ObservedSpectra) -> Window:
     """Transform the mean spectra of all classes to correlation functions, in the form of a window's lag sums."""
-    band, n = observed.band, observed.samples
+    band, n = observed.band, observed.segments.samples
     spectra = np.tensordot(observed.counts / observed.counts.sum(), observed.spectra, axes=1) / band.gain[:, None, None]
     rate_hz, lags = _RATE * float(band.hz[-1]), 2 * _BLOCK_ROWS
     waves = np.exp(2.0j * np.pi * np.outer(np.arange(lags) / rate_hz, band.hz))

@@ -223,7 +223,7 @@ class AmbientPosterior(Posterior):
         exact: dict[int, Matrices] = {}
         basis = None
         if system is bare and not has_lines:
-            basis, exact = self._exact_changes(x, everything)
+            basis, exact = self._exact_changes(x, everything, bare)
         unmoved, forces = [np.zeros_like(part) for part in here[3:]], range(x.size)[self.layout.forces]
 
         def moved(i: int) -> tuple[Array, ...]:
@@ -246,17 +246,21 @@ class AmbientPosterior(Posterior):
         slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition, basis)
         return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
 
-    def _exact_changes(self, x: Array, everything: Sequence[Effect]) -> tuple[Array | None, dict[int, Matrices]]:
+    def _exact_changes(
+        self, x: Array, everything: Sequence[Effect], bare: System
+    ) -> tuple[Array | None, dict[int, Matrices]]:
         """Differentiate the system by the structure's own parameters, where it is linear in these; results as of `modal_changes`.
 
-        Nothing where an effect changes the structure, or a change of all stiffnesses is not the sum of the changes by each.
+        `bare` is the system at `x`.  Nothing where an effect changes the structure, or a change of all stiffnesses is not the sum
+        of the changes by each.
         """
+        if self.damped_as_built or not all(e.keeps_structure for e in everything):
+            return None, {}
         layout, at, structure = self.layout, range(x.size), self.context_at(x).structure
         k, m = structure.stiffness_n_per_m, structure.masses_kg
         by_k = k[:, None, None] * structure.stiffness_derivatives()
         doubled = structure.with_stiffness(2.0 * k).stiffness_matrix() - structure.stiffness_matrix()
-        is_linear = np.allclose(doubled, by_k.sum(axis=0), rtol=0.0, atol=_LINEAR * np.abs(doubled).max())
-        if not is_linear or self.damped_as_built or not all(e.keeps_structure for e in everything):
+        if not np.allclose(doubled, by_k.sum(axis=0), rtol=0.0, atol=_LINEAR * np.abs(doubled).max()):
             return None, {}
         basis = np.zeros((0, *doubled.shape))
         if x[layout.correction].size:
@@ -265,7 +269,7 @@ class AmbientPosterior(Posterior):
         by_mass, by_stiffness = np.zeros((2, k.size + m.size + len(basis), *doubled.shape))
         by_mass[k.size : k.size + m.size] = m[:, None, None] * structure.mass_derivatives()
         by_stiffness[:] = np.concatenate([by_k, np.broadcast_to(grown, (m.size, *doubled.shape)), basis])
-        found = modal_changes(self.system(x, everything), np.exp(x[layout.damping]), by_mass, by_stiffness)
+        found = modal_changes(bare, np.exp(x[layout.damping]), by_mass, by_stiffness)
         if found is None:
             return None, {}
         those = (*at[layout.stiffness], *at[layout.masses], *at[layout.correction], *at[layout.damping])

@@ -19,12 +19,7 @@ from monitor.inference.input_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
-from monitor.inference.posterior import (
-    LEVEL_STD,
-    MAX_EXCITATION_STEP,
-    NUDGE,
-    Posterior,
-)
+from monitor.inference.posterior import LEVEL_STD, MAX_EXCITATION_STEP, NUDGE, Posterior
 from monitor.inference.starting_point import guess_levels, make_posterior
 from monitor.inference.wishart import grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing

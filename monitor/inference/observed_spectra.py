@@ -43,7 +43,6 @@ class ObservedSpectra:
     members: tuple[NDArray[np.intp], ...]
     """Indices of the segments of every class."""
     band: Band
-    samples: int
     segments: Segments
     """Segments that were averaged."""
     level: Annotated[Array, "segments"]
@@ -103,7 +102,6 @@ def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> Obser
         rms=np.stack([np.sqrt((segments.rms[m] ** 2).mean(axis=0)) for m in members]),
         members=members,
         band=segments.band,
-        samples=segments.samples,
         segments=replace(segments, drive=None),
         level=relative,
         power=power,

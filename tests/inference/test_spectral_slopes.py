@@ -80,7 +80,8 @@ def test_slopes_of_a_linear_structure_are_exact(at: Posterior, effects: tuple[Ef
     )
     x = point(at, effects)
     x[at.layout.masses] += [0.1, -0.2, 0.3]
-    turn, exact = at._exact_changes(x, at.effects(x, effects))
+    everything = at.effects(x, effects)
+    turn, exact = at._exact_changes(x, everything, at.system(x, everything))
     layout, i = at.layout, range(x.size)
     assert set(exact) == {*i[layout.stiffness], *i[layout.masses], *i[layout.damping], *i[layout.correction]}
     for j, change in exact.items():
@@ -96,7 +97,8 @@ def test_slopes_of_a_linear_structure_are_exact(at: Posterior, effects: tuple[Ef
 def test_where_two_modes_have_one_frequency_or_an_effect_changes_the_structure_no_slope_is_exact(at: Posterior) -> None:
     one = System(np.eye(2), 0.02 * np.eye(2), np.eye(2))
     assert modal_changes(one, np.full(2, 0.01), np.zeros((1, 2, 2)), np.ones((1, 2, 2))) is None
-    assert at._exact_changes(point(at, EFFECTS), at.effects(point(at, EFFECTS), EFFECTS)) == (None, {})
+    x, everything = point(at, EFFECTS), at.effects(point(at, EFFECTS), EFFECTS)
+    assert at._exact_changes(x, everything, at.system(x, everything)) == (None, {})
 
 
 def test_information_and_products_are_those_of_the_whitened_rows(at: Posterior) -> None:
