@@ -178,10 +178,12 @@ def find_missing_modes(
     of them.  Empty where no mode is the cause of the highest peak, or a rival may be.
     """
     looked: list[list[Candidate]] = []
+    highest: list[Candidate] | None = None
     stories = posterior.layout.stiffness.stop - posterior.layout.stiffness.start
     for _ in range(stories):
         (peak,) = find_excess_peaks(posterior, fit, 1, [rough[0].fit for rough in looked])
         rough = fit_roughly(posterior, fit, likely_causes(posterior, fit, peak))
+        highest = rough if highest is None else highest
         if not _is_beyond_doubt(rough, settings):
             break
         if any(_is_one_peak(posterior, rough[0].effect, others[0].effect) for others in looked):
@@ -191,7 +193,7 @@ def find_missing_modes(
     together = _fit_together(posterior, fit, found)
     if together:
         return together
-    alone = find_missing_mode(posterior, fit, settings, threshold)
+    alone = find_missing_mode(posterior, fit, settings, threshold, highest)
     return [alone] if alone else []
 
 
@@ -241,11 +243,20 @@ def _is_plausible_mode(posterior: Posterior, candidate: Candidate, i: int) -> bo
 
 
 def find_missing_mode(
-    posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings, threshold: float
+    posterior: Posterior,
+    fit: MapEstimate,
+    settings: DiagnosisSettings,
+    threshold: float,
+    rough: list[Candidate] | None = None,
 ) -> list[Candidate]:
-    """Find the cause of the highest peak, if it is a mode of the structure, by full fits, as `find_missing_modes`."""
+    """Find the cause of the highest peak, if it is a mode of the structure, by full fits, as `find_missing_modes`.
+
+    `rough` are the fits of the peak's likely causes, if they are known.
+    """
     (peak,) = find_excess_peaks(posterior, fit, 1)
-    rough = fit_roughly(posterior, fit, effects_at_peak(posterior, fit, peak))
+    rough = fit_roughly(posterior, fit, likely_causes(posterior, fit, peak)) if rough is None else rough
+    if any(not c.effect.repeatable and c.may_reach(rough[0].log_evidence - settings.rival) for c in rough):
+        rough = fit_roughly(posterior, fit, effects_at_peak(posterior, fit, peak))  # of every kind at all places
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]

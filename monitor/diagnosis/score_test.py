@@ -10,6 +10,7 @@ from itertools import chain
 from typing import Annotated
 
 import numpy as np
+from scipy.stats import chi2
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import first_guess, fit_exact_slopes
@@ -28,9 +29,9 @@ from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, i
 
 _log = logging.getLogger(__name__)
 
-_MIN_LOG_PRIOR = -20.0
-"""Log prior below which the model without the effect lies so far from its prior that a fit starts better from the
-prior. [nats; judgement]"""
+_FAR_PROBABILITY = 1e-3
+"""Share of structures that lie as far from their prior as one from which other starts are tried. [ratio; judgement: in vain for
+one in a thousand]"""
 _ROUGH_FIT_NATS = 3.0
 """Gain that a rough fit may miss. [nats; judgement]"""
 _HELD_STRUCTURE_PRECISION = 1e8
@@ -278,9 +279,14 @@ def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
     """
     if not plan_of(posterior).tries_beside_prior or any(effect.repeatable for effect in null_fit.effects):
         return False
+    return is_far(posterior, null_fit)
+
+
+def is_far(posterior: Posterior, fit: MapEstimate) -> bool:
+    """Decide if the structure of a fit is improbable by its prior: as few as one in a thousand lie as far."""
     at, n_held = posterior.prior.mean.copy(), _n_held(posterior)
-    at[:n_held] = null_fit.x[:n_held]
-    return posterior.prior.log_density(at) < _MIN_LOG_PRIOR
+    at[:n_held] = fit.x[:n_held]
+    return bool(chi2.sf(-2.0 * posterior.prior.log_density(at), n_held) < _FAR_PROBABILITY)
 
 
 def _n_held(posterior: Posterior) -> int:
@@ -311,7 +317,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 
 
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> Ranked:
-    """Fit effects with the structure at its prior mean, then roughly with it free, the best to the end; return gains, nats."""
+    """Fit effects with the structure at its prior mean, then roughly with it free; return gains, nats."""
 
     def fitted(effect: Effect) -> MapEstimate:
         near = _fit_at_prior(posterior, null_fit, effect)[1]
@@ -319,11 +325,7 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
             posterior, near.x, near.effects, iterations=plan_of(posterior).rough_steps, keep_slopes=False
         )
 
-    fits = parallel_map(fitted, effects)
-    if fits:
-        best = max(range(len(fits)), key=lambda i: fits[i].log_posterior)
-        fits[best] = maximize_posterior(posterior, fits[best].x, fits[best].effects, iterations=FAR)
-    return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
+    return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in parallel_map(fitted, effects)]
 
 
 def _scale_amplitude(effect: Effect, amount: float) -> Effect | None:

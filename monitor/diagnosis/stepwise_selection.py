@@ -29,6 +29,7 @@ from monitor.diagnosis.score_test import (
     candidate_starts,
     evidence_cost,
     fit_candidate,
+    is_far,
     log_evidence,
     parameter_cost,
 )
@@ -76,6 +77,8 @@ class Search:
     from_elsewhere: bool = False
     """Whether the forces act in another direction than at calibration, so that no cause would be stated."""
     has_ended: bool = False
+    tested: MapEstimate | None = None
+    """Fit of which each cause was tested beside the others."""
 
     @property
     def is_full(self) -> bool:
@@ -148,10 +151,9 @@ def diagnose(
         on_progress(Step(f"looks for cause {len(search.accepted) + 1}", then="tests each cause beside the others"))
         search = search.step()
     on_progress(Step("tests each cause beside the others"))
-    rounds = search.rounds
-    posterior, fit, accepted = eliminate_backward(
-        search.posterior, search.fit, search.accepted, rounds, settings.margin, settings.rival
-    )
+    rounds, posterior, fit, accepted = search.rounds, search.posterior, search.fit, search.accepted
+    if fit is not search.tested:
+        posterior, fit, accepted = eliminate_backward(posterior, fit, accepted, rounds, settings.margin, settings.rival)
     causes = refine(posterior, fit, len(accepted))
     found = judge(causes, search.null_fit, search.alternatives, settings, from_elsewhere=search.from_elsewhere)
     return replace(found, candidates=rounds[0] if rounds else (), rounds=rounds, other_optima=search.other_optima)
@@ -219,14 +221,14 @@ def _propose(search: Search) -> tuple[Search, list[RefittedCandidate]]:
     return search.among(causes if causes and causes[0] not in candidates else candidates), causes
 
 
-def _search_once(search: Search) -> tuple[Search, list[RefittedCandidate], float]:
+def _search_once(search: Search, least_gain: float = 0.0) -> tuple[Search, list[RefittedCandidate], float]:
     """Run one round of the search, and once more where it came upon a better fit without a further cause.
 
-    Return the state, refitted where a better fit was found, further causes, best first, and the log evidence that the next cause
-    needs, nats.
+    Causes of which a gain below `least_gain`, nats, is predicted are not fitted.  Return the state, refitted where a better fit
+    was found, further causes, best first, and the log evidence that the next cause needs, nats.
     """
     threshold = search.threshold()
-    min_gain = search.settings.worth * threshold / search.settings.margin
+    min_gain = max(search.settings.worth * threshold / search.settings.margin, least_gain)
     candidates = run_selection_round(search.posterior, search.fit, search.moments, search.settings, min_gain)
     better = find_better_null_fit(search.posterior, search.fit, candidates) or _refit_ground_interpolation(
         search, candidates, min_gain
@@ -256,7 +258,7 @@ def prefer_cause_to_coupling(search: Search) -> tuple[Search, list[RefittedCandi
     Return the state with the modes uncoupled, and the causes, best first; the state as it was, and no cause, where there is none.
     """
     posterior, fit = search.posterior, search.fit
-    if not posterior.prior.is_baseline:  # modes that are coupled and modes that are not are both followed to their ends
+    if not posterior.prior.is_baseline:  # the search began with the modes uncoupled too
         return search, []
     apart = uncouple_modes(posterior, fit, search.null_fit.x[posterior.layout.nuisances])
     if apart is None:
@@ -287,11 +289,16 @@ def start_from_modes(search: Search) -> Search:
         others = tuple(fit for fit, own in found[1:] if own > evidence - search.settings.rival)
         return replace(search.at(best), null_fit=best, other_optima=others)
     # Coupled before all are found, some modes take the others' part, and the structure follows; a mode that only the floors
-    # drive is seen by its coupling alone.
-    starts = [start for start in (best, couple_modes(posterior, best)) if start is not None]
-    if _explained_by_one(search, max(log_evidence(posterior, start) for start in starts)):
+    # drive is seen by its coupling alone.  So the better start is followed, and the other where that leads far from the prior.
+    coupled = couple_modes(posterior, best)
+    starts = [best] if coupled is None else [coupled, best]
+    if _explained_by_one(search, log_evidence(posterior, starts[0])):
         return search
-    ends = [_follow(search, start) for start in starts]
+    ends: list[Search] = []
+    for start in starts:
+        ends.append(_follow(search, start))
+        if not is_far(posterior, ends[-1].fit):
+            break
     evidences = [log_evidence(end.posterior, end.fit) for end in ends]
     first = ends[int(np.argmax(evidences))]
     others = tuple(
@@ -319,7 +326,7 @@ def _follow(search: Search, start: MapEstimate) -> Search:
         posterior, start, accepted, [(c,) for c in accepted], search.settings.margin, search.settings.rival
     )
     rounds = tuple((c,) for c in accepted)
-    search = replace(search, posterior=posterior, fit=fit, accepted=accepted, rounds=rounds)
+    search = replace(search, posterior=posterior, fit=fit, accepted=accepted, rounds=rounds, tested=fit)
     return _add_missing_modes(search) if accepted else search  # where one mode is missing, others are
 
 
@@ -328,10 +335,12 @@ def _explained_by_one(search: Search, evidence: float) -> bool:
 
     A law that depends on the level distorts the peaks of the model, and modes beside them imitate the distortion.
     """
-    refitted, candidates, _ = _search_once(search)
+    wanted = evidence - search.settings.margin
+    # A score predicts half of a gain, as a rough fit finds, see `Candidate.may_reach`.
+    refitted, candidates, _ = _search_once(search, 0.5 * (wanted - search.fit.log_posterior))
     if not candidates or candidates[0].candidate.effect.repeatable:
         return False
-    return refitted.fit.log_posterior + candidates[0].candidate.log_evidence > evidence - search.settings.margin
+    return refitted.fit.log_posterior + candidates[0].candidate.log_evidence > wanted
 
 
 def _prefer_mode(search: Search, tied: list[RefittedCandidate]) -> list[RefittedCandidate]:

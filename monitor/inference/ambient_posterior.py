@@ -15,7 +15,6 @@ from monitor.inference.arrays import PackedSlopes, Spectra, Spectrum
 from monitor.inference.cross_spectra import (
     Excitation,
     extended,
-    extra_mode_spectra,
     line_spectra,
     noise_density,
     random_spectra,
@@ -26,6 +25,7 @@ from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
 from monitor.inference.system_slopes import (
     Matrices,
     SystemChange,
+    extra_mode_changes,
     force_matrix,
     modal_changes,
     packed,
@@ -155,17 +155,14 @@ class AmbientPosterior(Posterior):
     def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
         """Differentiate the (smoothed) spectra of the middle class."""
         middle = self.n_classes // 2
-        by_mode = self.slopes_by_mode(x, effects, wanted)
-        systemic = self._systemic(x, effects, [i for i in wanted if i not in by_mode])
+        systemic = self._systemic(x, effects, wanted)
         steps = np.array([self.nudged(x, i, effects)[0] for i in wanted])
         out = np.zeros((len(wanted), len(self.context.channels) ** 2, self.observed.band.n_bins))
         if systemic:
             out[[wanted.index(i) for i in systemic]] = self._slopes_by_system(x, effects, systemic)
         linear = self.linear_spectra(x, self.effects(x, effects), [middle])
         for j, i in enumerate(wanted):
-            if i in by_mode:
-                out[j] = packed(by_mode[i])
-            elif i not in systemic:
+            if i not in systemic:
                 h, moved = self.nudged(x, i, effects)
                 everything = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
                 out[j] = packed((self.linear_spectra(moved, everything, [middle])[0] - linear[0]) / h)
@@ -176,45 +173,32 @@ class AmbientPosterior(Posterior):
                 d[:] = packed(_slope(complete, here, linear, unpacked(d), h)[0])
         return out if self.smoothing is None else out @ self.smoothing.T
 
-    def slopes_by_mode(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> dict[int, Spectrum]:
-        """Differentiate the linearized spectra of the middle class by those wanted coordinates that only change extra modes."""
-        owners, everything = self.owners(effects), self.effects(x, effects)
-        context, band, middle = self.context_at(x), self.observed.band, self.n_classes // 2
-        force = float(self.forces(x)[middle].mean())
-
-        def part(effect: Effect) -> ComplexArray:
-            modes = effect.extra_modes(context)
-            return extra_mode_spectra(modes, everything, force, band, context, self.conditions[middle])
-
-        out = {}
-        for i in wanted:
-            if i in owners and everything[owners[i]].extra_modes(context):
-                h, moved = self.nudged(x, i, effects)
-                after = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
-                out[i] = np.asarray((part(after[owners[i]]) - part(everything[owners[i]])) / h)
-        return out
-
     def _systemic(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> list[int]:
         """List the wanted coordinates that change the linear system or its forces alone, and not what is recorded of them."""
         owners, everything = self.owners(effects), self.effects(x, effects)
-        if any(e.ground_share for e in everything):
-            return []  # the ground's share depends on the whole system
+        if any(e.ground_share for e in everything):  # it depends on the whole system, but not on extra modes
+            return [i for i in wanted if i in owners and everything[owners[i]].extra_modes(self.context)]
         return [i for i in wanted if i not in owners or everything[owners[i]].acts_on_system_alone]
 
     def _slopes_by_system(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
         """Differentiate the linearized spectra of the middle class by coordinates that change the system, see `_systemic`."""
-        band, middle, owners = self.observed.band, self.n_classes // 2, self.owners(effects)
+        band, middle, owners, layout = self.observed.band, self.n_classes // 2, self.owners(effects), self.layout
         everything, condition = self.effects(x, effects), self.conditions[middle]
         has_lines = any(e.lines() for e in everything)
-        n_extra = sum(len(e.extra_modes(self.context)) for e in everything)
-
         context, bare = self.context_at(x), self.system(x, everything)
+        modes = [mode for e in everything for mode in e.extra_modes(context)]
+
+        def numbers(x: Array) -> Array:
+            found = [
+                m for e in self.effects(x, with_coordinates(effects, x[layout.effects])) for m in e.extra_modes(context)
+            ]
+            return np.array([[m.frequency_hz, m.damping_ratio, *m.shape] for m in found])
 
         def at(
             x: Array, bare: System, context: Context, everything: Sequence[Effect]
         ) -> tuple[System, tuple[Array, ...]]:
             system = extended(bare, everything, context, condition)
-            forces = force_matrix(system, everything, self.forces(x)[middle], n_extra)
+            forces = force_matrix(system, everything, self.forces(x)[middle], len(modes))
             lines = packed(line_spectra(system, everything, band, context, condition)) if has_lines else np.zeros(())
             matrices = system.mass, system.damping, system.stiffness
             return system, (*matrices, system.sensors(context.sensors), forces, lines)
@@ -224,27 +208,31 @@ class AmbientPosterior(Posterior):
         basis = None
         if system is bare and not has_lines:
             basis, exact = self._exact_changes(x, everything, bare)
-        unmoved, forces = [np.zeros_like(part) for part in here[3:]], range(x.size)[self.layout.forces]
+        unmoved, forces = [np.zeros_like(part) for part in here], range(x.size)[layout.forces]
+        still = extra_mode_changes(modes, np.zeros((len(modes), 2 + len(context.channels))))
 
-        def moved(i: int) -> tuple[Array, ...]:
+        def moved(i: int) -> tuple[SystemChange, Array]:
             if i in exact:
-                return (*exact[i], *unmoved)
+                return SystemChange(*exact[i], *unmoved[3:-1], still), unmoved[-1]
             h, moved_x = self.nudged(x, i, effects)
             with_one = list(everything)
             if i in owners:
                 first = min(j for j, owner in owners.items() if owner == owners[i])
                 one = everything[owners[i]]
                 with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
+                if one.extra_modes(context):
+                    of_modes = extra_mode_changes(modes, (numbers(moved_x) - numbers(2.0 * x - moved_x)) / (2.0 * h))
+                    return SystemChange(*unmoved[:-1], of_modes), unmoved[-1]
             if i in forces or (i in owners and everything[owners[i]].keeps_structure):
                 _, there = at(moved_x, bare, context, with_one)
             else:
                 _, there = at(moved_x, self.system(moved_x, with_one), self.context_at(moved_x), with_one)
-            return tuple((after - before) / h for after, before in zip(there, here, strict=True))
+            *parts, lines = ((after - before) / h for after, before in zip(there, here, strict=True))
+            return SystemChange(*parts, still), lines
 
-        changes = [moved(i) for i in wanted]
-        of_system = [SystemChange(*change[:-1]) for change in changes]
-        slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition, basis)
-        return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
+        changes, of_lines = zip(*map(moved, wanted), strict=True)
+        slopes = system_slopes(system, everything, self.forces(x)[middle], changes, band, context, condition, basis)
+        return slopes + np.array(of_lines) if has_lines else slopes
 
     def _exact_changes(
         self, x: Array, everything: Sequence[Effect], bare: System

@@ -284,11 +284,15 @@ def _integration_hz(rate_hz: float) -> Array:
 
 def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
     """Compute the frequency response of the true accelerations to a force on each extra mode, (n_hz, c, n_modes)."""
-    out = np.empty((hz.size, len(context.channels), len(modes)), dtype=complex)
-    for i, mode in enumerate(modes):
-        f = mode.frequency_hz
-        out[:, :, i] = np.outer(hz**2 / (hz**2 - f**2 - 2.0j * mode.damping_ratio * f * hz), mode.shape)
-    return out
+    shapes = np.array([mode.shape for mode in modes]).reshape(len(modes), len(context.channels))
+    return oscillator_response(modes, hz)[:, None, :] * shapes.T
+
+
+def oscillator_response(modes: Sequence[ExtraMode], hz: Array) -> Annotated[ComplexArray, "hz modes"]:
+    """Compute the accelerance of an oscillator of one kilogram with the frequency and the damping of every mode, 1/kg."""
+    f, ratio = np.array([(mode.frequency_hz, mode.damping_ratio) for mode in modes]).reshape(-1, 2).T
+    squared = (hz**2)[:, None]
+    return np.asarray(squared / (squared - f**2 - 2.0j * ratio * f * hz[:, None]))
 
 
 def force_colour(effects: Sequence[Effect], hz: Array) -> Array:

@@ -230,7 +230,9 @@ def shortened_steps(posterior: Posterior, step: Array, effects: Sequence[Effect]
     bound, layout = np.full(step.size, np.inf), posterior.layout
     bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = _MAX_STRUCTURE_STEP
     bound[layout.damping] = bound[layout.channel_noise] = _MAX_DAMPING_STEP
-    bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
+    # The force on a mode differs between recordings by more than that: a step may be as long as the prior is wide.
+    wide = [std for e in posterior.prior.model.effects for std in e.pattern_std]
+    bound[layout.persistent] = np.fmax(_MAX_EFFECT_STEP * posterior.prior.units[layout.persistent], wide)
     bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)

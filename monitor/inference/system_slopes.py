@@ -25,9 +25,10 @@ from monitor.inference.cross_spectra import (
     extra_mode_response,
     force_colour,
     force_root,
+    oscillator_response,
     recorded,
 )
-from monitor.model import Condition, Context, Effect, System
+from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import leakage
 
 _TAPS = leakage()
@@ -48,6 +49,8 @@ class SystemChange:
     """Of what the channels see of the degrees of freedom."""
     forces: Annotated[Array, "columns columns"]
     """Of the force densities, see `force_matrix`."""
+    modes: Annotated[Array, "2*extra c 3"]
+    """Of the extra modes, see `extra_mode_changes`."""
 
 
 Matrices = tuple[Annotated[Array, "N N"], Annotated[Array, "N N"], Annotated[Array, "N N"]]
@@ -87,6 +90,22 @@ def modal_changes(
     none = np.zeros((at.size, at.size))
     changes += [(none, np.diag(np.where(at == i, damping, 0.0)), none) for i in at]
     return system.mass @ shapes, changes
+
+
+def extra_mode_changes(
+    modes: Sequence[ExtraMode], moved: Annotated[Array, "extra 2+c"]
+) -> Annotated[Array, "2*extra c 3"]:
+    """Differentiate the responses of extra modes by a change of their frequencies (Hz), damping ratios and shapes.
+
+    The response of mode j is its shape times ``h = w^2 / (w^2 - w_j^2 - 2 i z_j w_j w)``.  Rows are factors of every mode's h,
+    then of its square; the last axis has those of 1, of i / w and of 1 / w^2.
+    """
+    out = np.zeros((2, len(modes), moved.shape[1] - 2, 3))
+    for of_response, of_square, mode, (hz, ratio, *shape) in zip(*out, modes, moved, strict=True):
+        omega, by_omega = 2.0 * np.pi * mode.frequency_hz, 2.0 * np.pi * hz
+        factors = 0.0, 2.0 * (mode.damping_ratio * by_omega + omega * ratio), 2.0 * omega * by_omega
+        of_response[:, 0], of_square[:] = shape, np.outer(mode.shape, factors)
+    return out.reshape(2 * len(modes), *out.shape[2:])
 
 
 def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extra: int) -> Array:
@@ -131,10 +150,12 @@ def system_slopes(
     adjoint = answer.conj().swapaxes(1, 2) * force_colour(effects, hz)[:, None, None]
     driven = force_matrix(system, effects, force, len(modes)) @ adjoint
     right = response[:, :, c:] @ driven[:, : len(forced)]
+    alone = oscillator_response(modes, hz)[:, :, None]
+    of_modes = driven[:, len(forced) :] * alone
     if basis is not None:
         left, right = left @ basis, basis.T @ right
     everything = np.concatenate([left, np.broadcast_to(through, (hz.size, c, c)), answer], axis=2)
-    acting = np.concatenate([right, 0.5 * adjoint], axis=1)
+    acting = np.concatenate([right, 0.5 * adjoint, of_modes, of_modes * alone], axis=1)
     start, at, of_matrices = _entries(changes, size, c)
     left_re, left_im, right_re, right_im = (
         np.ascontiguousarray(a.transpose(1, 2, 0)) for m in (everything, acting) for a in (m.real, m.imag)
@@ -151,10 +172,11 @@ def _entries(changes: Sequence[SystemChange], size: int, c: int) -> tuple[NDArra
     start, at, value = [0], [], []
     for change in changes:
         columns = change.forces.shape[0]
-        of_matrices = np.zeros((size + columns, size + c + columns, 3))
+        of_matrices = np.zeros((size + columns + len(change.modes), size + c + columns, 3))
         of_matrices[:size, :size] = np.stack([-change.mass.T, change.damping.T, change.stiffness.T], axis=2)
         of_matrices[:size, size : size + c, 0] = change.sensors.T
-        of_matrices[size:, size + c :, 0] = change.forces.T
+        of_matrices[size : size + columns, size + c :, 0] = change.forces.T
+        of_matrices[size + columns :, size : size + c] = change.modes
         where = np.argwhere(of_matrices.any(axis=2))
         at.append(where)
         value.append(of_matrices[where[:, 0], where[:, 1]])
