@@ -213,7 +213,7 @@ class AmbientPosterior(Posterior):
 
         def moved(i: int) -> tuple[SystemChange, Array]:
             if i in exact:
-                return SystemChange(*exact[i], *unmoved[3:-1], still), unmoved[-1]
+                return SystemChange(*exact[i], sensors=unmoved[3], forces=unmoved[4], modes=still), unmoved[-1]
             h, moved_x = self.nudged(x, i, effects)
             with_one = list(everything)
             if i in owners:
@@ -222,13 +222,13 @@ class AmbientPosterior(Posterior):
                 with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
                 if one.extra_modes(context):
                     of_modes = extra_mode_changes(modes, (numbers(moved_x) - numbers(2.0 * x - moved_x)) / (2.0 * h))
-                    return SystemChange(*unmoved[:-1], of_modes), unmoved[-1]
+                    return SystemChange(*unmoved[:-1], modes=of_modes), unmoved[-1]
             if i in forces or (i in owners and everything[owners[i]].keeps_structure):
                 _, there = at(moved_x, bare, context, with_one)
             else:
                 _, there = at(moved_x, self.system(moved_x, with_one), self.context_at(moved_x), with_one)
             *parts, lines = ((after - before) / h for after, before in zip(there, here, strict=True))
-            return SystemChange(*parts, still), lines
+            return SystemChange(*parts, modes=still), lines
 
         changes, of_lines = zip(*map(moved, wanted), strict=True)
         slopes = system_slopes(system, everything, self.forces(x)[middle], changes, band, context, condition, basis)

@@ -285,7 +285,7 @@ def _integration_hz(rate_hz: float) -> Array:
 def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
     """Compute the frequency response of the true accelerations to a force on each extra mode, (n_hz, c, n_modes)."""
     shapes = np.array([mode.shape for mode in modes]).reshape(len(modes), len(context.channels))
-    return oscillator_response(modes, hz)[:, None, :] * shapes.T
+    return np.asarray(oscillator_response(modes, hz)[:, None, :] * shapes.T)
 
 
 def oscillator_response(modes: Sequence[ExtraMode], hz: Array) -> Annotated[ComplexArray, "hz modes"]:
