@@ -16,7 +16,6 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.score_test import Candidate, key_of, score_candidate
 from monitor.inference import (
     CorrectedPosterior,
@@ -150,7 +149,7 @@ def fit_initial_model(
 def fit_persistent_effects(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
     """Refit with the correction of the persistent laws only; without such laws or with measured ground motion, do not refit."""
     linear = replace(posterior, offset=None)
-    if plan_of(posterior).integrates_laws or not any(e.nonlinear for e in posterior.prior.effects(fit.x)):
+    if not posterior.linearizes(posterior.prior.effects(fit.x)):
         return linear, fit, normal_moments(posterior)
     simulated_fit = fit_by_simulation(linear, fit)
     return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
@@ -180,9 +179,10 @@ def _iterate_simulation(posterior: Posterior, fit: MapEstimate, rounds: Rounds) 
     the exact law.  A round without slopes keeps those of the posterior.
     """
     loaded()
-    slopes, spurious, known = _stored_slopes(posterior, fit), np.zeros((0, 0)), 0
-    if len(slopes) and isinstance(posterior, CorrectedPosterior):
-        spurious, known = posterior.spurious_information, posterior.simulations
+    laws = tuple(key_of(e) for e in fit.effects if e.nonlinear)
+    slopes, spurious, known = np.zeros((0, *posterior.observed.spectra.shape), dtype=complex), np.zeros((0, 0)), 0
+    if laws and isinstance(posterior, CorrectedPosterior) and posterior.laws == laws:
+        slopes, spurious, known = posterior.slopes_by_size, posterior.spurious_information, posterior.simulations
     linear = replace(posterior, offset=None)
     for count, sloped in rounds:
         linear = replace(linear, conditions=linearize(linear, fit.x, fit.effects))
@@ -272,14 +272,6 @@ def _simulate_slopes(
         sizes[i] += step
         slope[:] = (offset_at(x, with_coordinates(fit.effects, sizes)) - offset) / step
     return out
-
-
-def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> Annotated[ComplexArray, "p classes bins c c"]:
-    """Return the slopes that the posterior has for the laws of a fit; none for other laws."""
-    laws = tuple(key_of(e) for e in fit.effects if e.nonlinear)
-    if isinstance(posterior, CorrectedPosterior) and posterior.laws == laws:
-        return posterior.slopes_by_size
-    return np.zeros((0, *posterior.observed.spectra.shape), dtype=complex)
 
 
 def _spurious_information(

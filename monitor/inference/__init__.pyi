@@ -7,11 +7,7 @@ from .exact_simulation import (
     simulate_exact as simulate_exact,
     simulate_spectra as simulate_spectra,
 )
-from .excitation_fit import (
-    ExcitationStart as ExcitationStart,
-    fit_excitation as fit_excitation,
-    forces_from_quiet_segments as forces_from_quiet_segments,
-)
+from .excitation_fit import ExcitationStart as ExcitationStart, fit_excitation as fit_excitation
 from .force_levels import fit_levels as fit_levels, spectra_by_force as spectra_by_force
 from .forward_model import Prediction as Prediction
 from .higher_moments import (
