@@ -135,7 +135,6 @@ def clock_drift_in_words(drift: ClockDrift, channels: Sequence[str], drive: Driv
 
 
 def _named(drift: ClockDrift, channels: Sequence[str], drive: Drive) -> str:
-    """Name the channel or the input whose clock drifts."""
     return [
         *(f"channel {name}" for name in channels),
         *("the ground" if one.floor is None else f"force {one.name}" for one in drive.inputs),

@@ -113,7 +113,6 @@ def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior:
 
 
 def _bins_per_band(band: Band) -> int:
-    """Compute the number of bins that are summed in a band."""
     return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 

@@ -131,7 +131,6 @@ def at_peak(kind: type[Effect], place: str, peak: Peak, posterior: Posterior) ->
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:
-    """Decide if an effect can act on the structure."""
     try:
         effect.check(context.structure, context.channels)
     except EffectError:

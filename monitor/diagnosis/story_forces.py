@@ -139,7 +139,6 @@ def true_motion(
 
 
 def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after: _Series) -> StoryLaw:
-    """Describe the law of the story of index j."""
     power = (np.abs(measured[1][:, :, j]) ** 2).sum(axis=1)
     order, third = np.argsort(power), max(2, power.size // 3)
     groups = order[:third], order[-third:]

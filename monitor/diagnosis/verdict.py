@@ -172,7 +172,6 @@ def judge(
 
 
 def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
-    """List what the causes leave over."""
     at = found.posterior, found.fit, settings
     return (*find_changed_effects(*at), *find_lack_of_fit(*at))
 

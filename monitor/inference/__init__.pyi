@@ -4,7 +4,6 @@ from .driven_posterior import DrivenPosterior as DrivenPosterior
 from .exact_simulation import (
     draw_forces as draw_forces,
     linearization_error as linearization_error,
-    simulate_exact as simulate_exact,
     simulate_spectra as simulate_spectra,
 )
 from .excitation_fit import ExcitationStart as ExcitationStart, fit_excitation as fit_excitation
@@ -15,7 +14,6 @@ from .higher_moments import (
     Moments as Moments,
     measure_moments as measure_moments,
     normal_moments as normal_moments,
-    simulate_moments as simulate_moments,
     tone_log_odds as tone_log_odds,
 )
 from .input_response import Drive as Drive

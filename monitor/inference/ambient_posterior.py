@@ -153,7 +153,6 @@ class AmbientPosterior(Posterior):
         ]
 
     def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
-        """Differentiate the spectra of the middle class."""
         middle = self.n_classes // 2
         by_mode = self.slopes_by_mode(x, effects, wanted)
         systemic = self._systemic(x, effects, [i for i in wanted if i not in by_mode])

@@ -303,7 +303,6 @@ class DrivenPosterior(Posterior):
 
 
 def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
-    """Return names and places of the nonlinear effects."""
     return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 

@@ -12,7 +12,7 @@ from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference.arrays import Spectra
 from monitor.inference.corrected_posterior import relative_to
 from monitor.inference.driven_posterior import DrivenPosterior
-from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
+from monitor.inference.exact_simulation import draw_forces, simulate_spectra
 from monitor.inference.input_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, nearest_classes
@@ -44,10 +44,6 @@ class ExcitationStart:
         """Take the excitation of a vector of nuisances."""
         layout = posterior.layout
         return cls(x[layout.forces], x[layout.levels], float(x[layout.noise]), beyond)
-
-    def of(self, n_classes: int) -> ExcitationStart:
-        """Convert the excitation to another number of classes of rising level."""
-        return self.select(nearest_classes(self.levels.size, n_classes))
 
     def select(self, classes: NDArray[np.intp]) -> ExcitationStart:
         """Take the excitation of the given classes."""
@@ -82,11 +78,11 @@ def fit_excitation(
     if isinstance(posterior, DrivenPosterior):
         # One level is fitted for all forces, which therefore start from equal values.
         posterior, near = _best_between_samples(posterior, known), None
-    near = None if near is None else near.of(posterior.n_classes)
     if near is None:
         x, ratio = guess_levels(posterior)
         x[posterior.layout.forces], x[posterior.layout.levels] = posterior.levels_of_equal_forces(ratio)
     else:
+        near = near.select(nearest_classes(near.levels.size, posterior.n_classes))
         x = np.concatenate([plain.mean, near.vector])
     if near is None or not model.effects:
         x = posterior.fit_levels(x)
@@ -106,12 +102,10 @@ def fit_excitation(
 
 def _simulated_correction(posterior: Posterior, x: Array, linear: Spectra) -> Spectra:
     """Simulate the difference of the exact from the linearized spectra, relative to the latter."""
-
     loaded()
 
     def added(seed: int) -> ComplexArray:
-        acting = draw_forces(posterior, x, (), seed)
-        return simulate_spectra(posterior, x, (), acting, simulate_exact(posterior, x, (), acting)).controlled
+        return simulate_spectra(posterior, x, (), draw_forces(posterior, x, (), seed)).controlled
 
     return relative_to(
         linear, np.mean(parallel_map(added, range(_N_FIT_SIMULATIONS)), axis=0), posterior.observed.band.hz

@@ -97,7 +97,6 @@ class _ExcitationFit:
         return _Slopes(slopes, rows.T @ rows + self.precision, gradient)
 
     def _slopes(self, at: _Point) -> ComplexArray:
-        """Differentiate the spectra by forces, levels and noise."""
         n, k = self.posterior.context.structure.n_dofs, self.posterior.n_classes
         out = np.zeros((n + k + 1, *at.spectra.shape), dtype=complex)
 

@@ -14,7 +14,7 @@ from monitor.inference.arrays import Spectra
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.input_response import motion_rms
-from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
+from monitor.inference.observed_spectra import class_temperature
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import MIN_PILED
 from monitor.inference.trial import require_finite
@@ -58,7 +58,7 @@ def linearize(
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
     piled, band_hz = e.segments.piled >= MIN_PILED, float(e.band.hz[-1])
     for k, row in enumerate(rms):
-        excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
+        excess_degc = partial(_excess_degc, posterior, k)
         parts = row[:m], row[m : 2 * m], row[2 * m :]
         out.append(Condition(*parts, e.rms[k], excess_degc, e.segments.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
@@ -171,9 +171,9 @@ def _motion_roots(
     return np.concatenate([motion, still], axis=2), channels
 
 
-def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:
+def _excess_degc(posterior: Posterior, k: int, lag_s: float) -> float:
     """Compute `Condition.excess_degc`: the temperature of class k above the reference, by default the recording's mean."""
-    value = class_temperature(evidence, k, lag_s)
+    value, reference = class_temperature(posterior.observed, k, lag_s), posterior.prior.reference_degc
     if value is None:
         return 0.0
-    return value - (float(evidence.segments.temperature[:, 1].mean()) if reference_degc is None else reference_degc)
+    return value - (float(posterior.observed.segments.temperature[:, 1].mean()) if reference is None else reference)

@@ -334,7 +334,6 @@ class _Floors(Stream):
         return f" ({'; '.join(silent)}; a diagnosis takes all channels)" if silent else ""
 
     def _begin_run(self, t_ns: int) -> None:
-        """Begin a run of samples without a gap."""
         if not self.facts:
             self.design, self.t0_ns = self._design_segments(), t_ns
         self._begin_ns, self._done = t_ns, 0
@@ -450,7 +449,6 @@ def _hum(transforms: ComplexArray, floors: _Floors) -> Iterator[LeftOut]:
 
 
 def _counted(n: int, kind: str) -> str:
-    """Count faults of a kind in words."""
     words = {
         "noise burst": ("a burst of noise", "bursts of noise"),
         "offset step": ("a step of the offset", "steps of the offset"),
