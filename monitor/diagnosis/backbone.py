@@ -9,7 +9,7 @@ import numpy as np
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.plan import plan_of
-from monitor.inference import DrivenPosterior, MapEstimate, Posterior, with_coordinates
+from monitor.inference import MapEstimate, Posterior, with_coordinates
 from monitor.signals import NORMAL_MAD
 
 _FIRST_MODE_BAND = 0.6, 1.6
@@ -25,7 +25,7 @@ _MIN_CHANGE_STDS = 6.0
 """Smallest such change in standard deviations. [standard deviations; judgement]"""
 
 
-def _backbone(posterior: DrivenPosterior, fit: MapEstimate) -> list[tuple[float, float, float]]:
+def _backbone(posterior: Posterior, fit: MapEstimate) -> list[tuple[float, float, float]]:
     """Estimate the first mode's frequency in every segment that shows it clearly, by ascending amplitude.
 
     In each segment ``y'' + 2 zeta w y' + w^2 y = gamma u`` is solved by least squares in the frequency domain.  Here y is the
@@ -33,7 +33,7 @@ def _backbone(posterior: DrivenPosterior, fit: MapEstimate) -> list[tuple[float,
     displacement of the top floor in the first mode, m, sqrt(2) x RMS, and the first frequencies of the measured motion and of
     the model's response, Hz.
     """
-    e, drive, mean = posterior.observed, posterior.drive, posterior.mean(fit.x, fit.effects)
+    e, drive, mean = posterior.observed, posterior.observed.drive, posterior.mean(fit.x, fit.effects)
     effects = posterior.effects(fit.x, fit.effects)
     system, modes = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes()
     first, shape, sensors = float(modes.frequencies_hz[0]), modes.shapes[:, 0].real, posterior.context.sensors
@@ -45,9 +45,10 @@ def _backbone(posterior: DrivenPosterior, fit: MapEstimate) -> list[tuple[float,
     rigid = to_mode @ sensors.sum(axis=1) * (inputs @ drive.rides)
     forced = inputs @ (shape @ drive.forces(system)[: shape.size])
     rows = []
-    for measured, predicted, r, u in zip(e.segments.values[:, in_band], mean[:, in_band], rigid, forced, strict=True):
-        hz, amplitude, unexplained = _fit_oscillator(measured @ to_mode - r, u, w)
-        model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - r, u, w)
+    for s in drive.located:
+        measured, predicted = (x[s, in_band] @ to_mode - rigid[s] for x in (e.segments.values, mean))
+        hz, amplitude, unexplained = _fit_oscillator(measured, forced[s], w)
+        model_hz, _, model_unexplained = _fit_oscillator(predicted, forced[s], w)
         if max(unexplained, model_unexplained) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
     return sorted(rows)
@@ -82,7 +83,7 @@ def find_level_dependence(posterior: Posterior, fit: MapEstimate) -> LackOfFit |
     The medians of the third of the segments with the smallest amplitudes and of the third with the largest are compared.  None
     too where too few segments show the mode, or where no input was measured.
     """
-    rows = _backbone(posterior, fit) if isinstance(posterior, DrivenPosterior) else []
+    rows = _backbone(posterior, fit)
     if len(rows) < _MIN_SEGMENTS:
         return None
     columns = _, hz, model_hz = np.array(rows).T
@@ -108,7 +109,7 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
 
     None where the fitted model keeps the ratios, has one mode or no extra effects, or no input was measured.
     """
-    if plan_of(posterior).judges_by_bands or not fit.effects or posterior.context.structure.n_dofs < 2:
+    if not plan_of(posterior).knows_input or not fit.effects or posterior.context.structure.n_dofs < 2:
         return None
     known = posterior.prior
     at_reference = posterior.layout.with_structure(fit.x, known.mean)

@@ -90,7 +90,7 @@ def correct_clock_drifts(segments: Segments, settings: DiagnosisSettings) -> tup
     Speech, and Signal Processing 24 (1976) 320 (the likelihood of a delay from the coherence).
     """
     drifts: list[ClockDrift] = []
-    streams = segments.with_inputs().shape[2]
+    streams = segments.values.shape[2] + len(segments.drive.inputs)
     n, bins = segments.values.shape[:2]
     least = settings.margin + 0.5 * np.log(n * bins * information_weight())
     while n > streams >= _MIN_STREAMS + len(drifts):
@@ -126,7 +126,7 @@ def state_clock_drifts(diagnosis: Diagnosis, drifts: tuple[ClockDrift, ...]) -> 
     )
 
 
-def clock_drift_in_words(drift: ClockDrift, channels: Sequence[str], drive: Drive | None = None) -> str:
+def clock_drift_in_words(drift: ClockDrift, channels: Sequence[str], drive: Drive) -> str:
     """State a drift of one of `channels`, or of a measured input's, in words."""
     of = _named(drift, channels, drive)
     grows, fast = ("grows", "fast") if drift.relative > 0.0 else ("falls", "slow")
@@ -134,12 +134,10 @@ def clock_drift_in_words(drift: ClockDrift, channels: Sequence[str], drive: Driv
     return f"the delay of {of} {grows} by {1e3 * size:.2g} ms a second: its clock runs {100.0 * size:.2g} % {fast}"
 
 
-def _named(drift: ClockDrift, channels: Sequence[str], drive: Drive | None) -> str:
-    """Name the channel or the input whose clock drifts."""
-    inputs = () if drive is None else drive.inputs
+def _named(drift: ClockDrift, channels: Sequence[str], drive: Drive) -> str:
     return [
         *(f"channel {name}" for name in channels),
-        *("the ground" if one.floor is None else f"force {one.name}" for one in inputs),
+        *("the ground" if one.floor is None else f"force {one.name}" for one in drive.inputs),
     ][drift.channel]
 
 

@@ -39,7 +39,7 @@ def refit_form(
     start = ExcitationStart.at(whole.posterior, form.x).select(classes)
     x = np.concatenate([form.x[layout.structure], start.vector, form.x[layout.effects]])
     plan = plan_of(posterior)
-    if not plan.integrates_laws and any(e.conditional for e in posterior.effects(x, effects)):
+    if not plan.knows_input and any(e.conditional for e in posterior.effects(x, effects)):
         own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
     own, fit = fit_exact_slopes(own, maximize_posterior(own, x, effects, iterations=plan.part_steps))
     excitation = ExcitationStart.at(own, fit.x, own.beyond(fit.x, fit.effects) if shared else None)

@@ -82,7 +82,7 @@ def learn_prior(
         wider,
         mean=fitted.x[structure],
         precision=0.5 * (precision + precision.T),
-        ln_forces=forces - forces.mean() if plan_of(posterior).shows_direction else None,
+        ln_forces=None if plan_of(posterior).knows_input else forces - forces.mean(),
     )
     # As the baseline's file holds it, so that a diagnosis from the file is the same.
     learnt = replace(learnt, model=replace(learnt.model, effects=learnt.effects(learnt.mean)))

@@ -10,11 +10,9 @@ import numpy as np
 from monitor.core import Array
 from monitor.diagnosis.plan import COARSE, FAR, LONG, ROUGHLY, plan_of
 from monitor.inference import (
-    DrivenPosterior,
     MapEstimate,
     ObservedSpectra,
     Posterior,
-    forces_from_quiet_segments,
     guess_levels,
     linearize,
     make_posterior,
@@ -65,12 +63,9 @@ def fit_linearized(
 
 
 def fit_ambient_forces(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
-    """Fit the ambient forces from the quiet segments and refit all else; unchanged without measured ground motion."""
-    if not isinstance(posterior, DrivenPosterior):
-        return posterior, fit
-    x = forces_from_quiet_segments(posterior, fit.x, fit.effects)
-    posterior = replace(posterior, wind=x[posterior.layout.forces])
-    return posterior, maximize_posterior(posterior, x, fit.effects, iterations=FAR)
+    """Fit the ambient forces from the quiet segments and refit all else; unchanged without measured inputs."""
+    known, x = posterior.with_quiet_forces(fit.x, fit.effects)
+    return known, fit if known is posterior else maximize_posterior(known, x, fit.effects, iterations=FAR)
 
 
 def _start_from_heavy_damping(

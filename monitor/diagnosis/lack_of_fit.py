@@ -95,8 +95,6 @@ def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Misfit, B
     the imaginary part of their coherence.  Beside a measured ground the unit is their scatter between segments.
     """
     z, hz = _sum_in_bands(fitted.residual, posterior.n_classes, posterior)
-    if plan_of(posterior).judges_by_bands:
-        return z, hz
     return z / _scatter_between_segments(posterior, posterior.predict(fitted.x, fitted.effects)), hz
 
 
@@ -115,7 +113,6 @@ def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior:
 
 
 def _bins_per_band(band: Band) -> int:
-    """Compute the number of bins that are summed in a band."""
     return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 
@@ -223,7 +220,7 @@ def unexplained_share(
     Without measured ground motion the squared deviations are compared.  With it the deviations themselves are compared, all in
     units of the final model's error: the error that the model without causes was fitted with hides most of its lack of fit.
     """
-    if plan_of(posterior).judges_by_bands:
+    if not plan_of(posterior).knows_input:
         return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     prediction, null_prediction = posterior.predict(at.x, at.effects), posterior.predict(null_fit.x, null_fit.effects)
     residual = posterior.whitened(prediction.spectra, prediction.spectra[None][:0], null_prediction.data)[1]
@@ -256,7 +253,7 @@ def find_changed_effects(
 def knows_direction(posterior: Posterior) -> bool:
     """Decide if the forces can tell another direction: calibration knew them, and found modes that the model lacks."""
     has_missing_modes = any(effect.repeatable for effect in posterior.prior.model.effects)
-    return posterior.prior.ln_forces is not None and plan_of(posterior).shows_direction and has_missing_modes
+    return posterior.prior.ln_forces is not None and not plan_of(posterior).knows_input and has_missing_modes
 
 
 def has_coupled_modes(posterior: Posterior) -> bool:
@@ -333,7 +330,7 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
     follow it.  None where the distance from the file costs no more prior density, beyond what chance makes of it, than a cause
     must gain; with a baseline; and where an input was measured, whose response separates stiffnesses from all else.
     """
-    if posterior.prior.is_baseline or plan_of(posterior).separates_kinds:
+    if posterior.prior.is_baseline or plan_of(posterior).knows_input:
         return None
     layout, known = posterior.layout, posterior.prior
     these = np.r_[layout.stiffness, layout.masses]

@@ -160,7 +160,7 @@ def _has_peak(posterior: Posterior, fit: MapEstimate, mode: ExtraMode) -> bool:
     """
     middle = posterior.n_classes // 2
     force = float(posterior.forces(fit.x)[middle].mean())
-    peak = posterior.smooth(_spectra_of(posterior, fit, [mode], force))
+    peak = _spectra_of(posterior, fit, [mode], force)
     of_class = posterior.relative_levels(fit.x)[:, None, None, None] * peak
     prediction = posterior.predict(fit.x, fit.effects)
     whitened, _ = posterior.whitened(prediction.spectra, of_class[None], prediction.data)

@@ -52,83 +52,49 @@ class Plan:
     """Most iterations of a fit to a part of the recording from that to the whole."""
     tolerance: float
     """Expected gain of the next step at which a fit of a cause ends, nats."""
+    knows_input: bool
+    """Whether the input was measured.  A response separates kinds of causes, and stiffnesses from all else, so clearly that few
+    need a closer look, and shows the damping of modes that have hardly moved.  Most of its lack of fit is in the segments' means,
+    and the ratios of frequencies and their dependence on the level count too.  Elsewhere the misfit of spectra in bands shows
+    all, the forces on the floors tell from which direction the structure is excited, and the steadiness of an amplitude tells a
+    machine."""
     starts_anywhere: bool
-    """Whether a fit may start from the end of another.  The phases of a driven response lead to the optimum from nearby only."""
-    keeps_slopes: bool
-    """Whether a rough fit keeps the slopes without the cause; where motion is as informative as driven motion, a cause changes
-    them at once."""
-    ranks_by_slope: bool
-    """Whether what a small size changes ranks causes, instead of the whole change at their first size.  The phases of a driven
-    response differ much between two fits, so that whole changes rank better (docs/measured-frames.md)."""
+    """Whether a fit may start from the end of another, whose slopes hold beside a cause and rank causes.  The phases of a driven
+    response lead to the optimum from nearby only, and differ so much between two fits that what a cause changes at its first size
+    ranks better (docs/measured-frames.md)."""
     tries_beside_prior: bool
     """Whether effects are tried beside the prior's structure too, where the fit without them went far from it."""
-    integrates_laws: bool
-    """Whether nonlinear laws act on the predicted motion exactly; else they are linearized, and simulation corrects that."""
-    separates_kinds: bool
-    """Whether the recording separates kinds of causes, and stiffnesses from all else, so clearly that few need a closer look."""
-    judges_by_bands: bool
-    """Whether the misfit of spectra in bands shows all lack of fit.  A response shows more: most of the lack of fit is in the
-    segments' means, and the ratios of frequencies and their dependence on the level count too."""
-    shows_direction: bool
-    """Whether the forces on the floors tell from which direction the structure is excited."""
-    shows_damping: bool
-    """Whether the damping is seen of modes that have hardly moved."""
-    tells_tones: bool
-    """Whether the steadiness of an amplitude tells a machine from random motion."""
     damping_shift: float
     """Relative change of a frequency from which the form of the damping matters."""
 
 
-def _needs_no_input(kind: type[Effect]) -> bool:
-    """Leave out what only a measured input shows."""
-    return not kind.driven_only
-
-
-def _is_beside_input(kind: type[Effect]) -> bool:
-    """Leave out another input, which would only compensate for errors of the response, and what needs stationary motion."""
-    return kind.family != "excitation" and not kind.stationary_only
-
-
 AMBIENT = Plan(
-    tries=_needs_no_input,
+    tries=lambda kind: not kind.driven_only,
     begins_with=lambda prior: prior,
     first_dampings=(),
     rough_steps=_ROUGHLY_AMBIENT,
     full_steps=LONG,
     part_steps=_PART_AMBIENT,
     tolerance=_AMBIENT_TOLERANCE_NATS,
+    knows_input=False,
     starts_anywhere=True,
-    keeps_slopes=True,
-    ranks_by_slope=True,
     tries_beside_prior=True,
-    integrates_laws=False,
-    separates_kinds=False,
-    judges_by_bands=True,
-    shows_direction=True,
-    shows_damping=False,
-    tells_tones=True,
     damping_shift=_FREQUENCY_SHIFT,
 )
 """Of a recording whose input is not known."""
 
 DRIVEN = Plan(
-    tries=_is_beside_input,
+    # Another input would only compensate for errors of the response.
+    tries=lambda kind: kind.family != "excitation" and not kind.stationary_only,
     begins_with=StructuralPrior.with_any_noise,
     first_dampings=((_FIRST_DAMPING, _SECOND_DAMPING),),
     rough_steps=ROUGHLY,
     full_steps=FAR,
     part_steps=_PART_DRIVEN,
     tolerance=COARSE,
+    knows_input=True,
     starts_anywhere=False,
-    keeps_slopes=False,
-    ranks_by_slope=False,
     tries_beside_prior=False,
-    integrates_laws=True,
-    separates_kinds=True,
-    judges_by_bands=False,
-    shows_direction=False,
-    shows_damping=True,
-    tells_tones=False,
     damping_shift=0.0,
 )
 """Of a recording with a measured input."""

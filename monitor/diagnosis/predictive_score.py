@@ -68,13 +68,11 @@ def score(
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
     posterior, x = fit_excitation(observed, model, replace(context, structure=model.structure), reference_degc, near)
     scatter, mean = posterior.scatter(x, ()), posterior.mean(x, ())
-    residual = segments.values if mean is None else segments.values - mean
-    counted = segments.values[held]
+    residual, counted = segments.values - mean, segments.values[held]
     measured = np.einsum("ska,skb->kab", counted, counted.conj()) / len(counted)
     share = np.array([np.count_nonzero(held[members]) for members in observed.members]) / len(counted)
     modelled = np.tensordot(share, scatter, axes=1)
-    if mean is not None:
-        modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
+    modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
     # The sum over the segments is the log likelihood of the classes' mean spectra.
     nats = np.empty(held.size)
     for spectra, members in zip(scatter, observed.members, strict=True):

@@ -132,7 +132,6 @@ def at_peak(kind: type[Effect], place: str, peak: Peak, posterior: Posterior) ->
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:
-    """Decide if an effect can act on the structure."""
     try:
         effect.check(context.structure, context.channels)
     except EffectError:
@@ -220,7 +219,7 @@ def _expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: lis
     residual = np.concatenate([null_fit.residual, null_fit.mean_residual])
     # The nuisances' slope is that of the posterior, since a pull away from their prior is evidence of an effect.
     nuisance_slope = tangent.along(residual) - precision @ (null_fit.x - mean)
-    by_slope = plan_of(posterior).ranks_by_slope
+    by_slope = plan_of(posterior).starts_anywhere
 
     def predict_gain(effect: Effect) -> Ranked:
         if effect.proportional and by_slope:
@@ -373,30 +372,30 @@ def fit_candidate(
     nothing = Candidate(effect, fit, -np.inf, -np.inf)
     if not null_fit.is_possible:
         return nothing
-    return tried(lambda: _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick), nothing)
+    is_integrated = effect.nonlinear and not posterior.linearizes((effect,))
+    of_kind = _fit_driven_law if is_integrated else partial(_fit_candidate, min_log_evidence=min_log_evidence)
+    return tried(lambda: of_kind(posterior, null_fit, effect, rough, quick=quick), nothing)
+
+
+def _fitting(posterior: Posterior, *, quick: bool) -> partial[MapEstimate]:
+    """Return `maximize_posterior` with the limits of a quick fit, or of one that is followed to its end."""
+    plan = plan_of(posterior)
+    steps = plan.rough_steps if quick else plan.full_steps
+    return partial(maximize_posterior, posterior, iterations=steps, tolerance=plan.tolerance, keep_slopes=not quick)
 
 
 def _fit_candidate(
     posterior: Posterior,
     null_fit: MapEstimate,
     effect: Effect,
-    min_log_evidence: float,
     rough: Candidate | None,
     *,
     quick: bool,
+    min_log_evidence: float,
 ) -> Candidate:
     """As `fit_candidate`; raises where something cannot be computed, see `tried`."""
-    plan = plan_of(posterior)
-    frozen = null_fit.slopes if quick and plan.keeps_slopes else None
-    fitted = partial(
-        maximize_posterior,
-        posterior,
-        iterations=plan.rough_steps if quick else plan.full_steps,
-        tolerance=plan.tolerance,
-        keep_slopes=not quick,
-    )
-    if plan.integrates_laws and effect.nonlinear:
-        return _fit_driven_law(posterior, null_fit, effect, None if rough is None else rough.fit, quick=quick)
+    plan, fitted = plan_of(posterior), _fitting(posterior, quick=quick)
+    frozen = null_fit.slopes if quick and plan.starts_anywhere else None
     start = null_fit.x, (*null_fit.effects, effect)
     if rough is not None and plan.starts_anywhere and rough.delta_log_posterior > 0.0:
         start = rough.fit.x, rough.fit.effects
@@ -416,20 +415,17 @@ def _fit_candidate(
 
 
 def _fit_driven_law(
-    posterior: Posterior, null_fit: MapEstimate, effect: Effect, rough: MapEstimate | None, *, quick: bool
+    posterior: Posterior, null_fit: MapEstimate, effect: Effect, rough: Candidate | None, *, quick: bool
 ) -> Candidate:
-    """Fit a nonlinear law together with the nuisances where the motion follows from a measured input.
+    """As `_fit_candidate`, with a nonlinear law, where the motion follows from a measured input.
 
-    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.  It starts
-    from a `rough` fit of the same law, if there is one.  A `quick` fit is rough, for a ranking.
+    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.
     """
-    if rough is None:
-        x, effects = start_beside(posterior, null_fit.x, effect), (*null_fit.effects, effect)
-    else:
-        x, effects = rough.x, rough.effects
-    exact, plan = posterior.with_exact_slopes(x, effects), plan_of(posterior)
-    steps = plan.rough_steps if quick else plan.full_steps
-    fit = maximize_posterior(exact, x, effects, iterations=steps, tolerance=plan.tolerance, keep_slopes=not quick)
+    x, effects = start_beside(posterior, null_fit.x, effect), (*null_fit.effects, effect)
+    if rough is not None:
+        x, effects = rough.fit.x, rough.fit.effects
+    exact = posterior.with_exact_slopes(x, effects)
+    fit = _fitting(exact, quick=quick)(x, effects)
     if not quick:
         fit = fit_exact_slopes(exact, fit)[1]
     return score_candidate(posterior, null_fit, fit)
@@ -442,7 +438,7 @@ def start_beside(posterior: Posterior, x: Annotated[Array, "p"], effect: Effect)
     measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness with which
     it has that secant.
     """
-    if not (plan_of(posterior).integrates_laws and effect.nonlinear):
+    if not effect.nonlinear or posterior.linearizes((effect,)):
         return x
     context, layout = posterior.context_at(x), posterior.layout
     n, k = context.structure.n_dofs, context.structure.stiffness_n_per_m
@@ -475,7 +471,7 @@ def score_candidate(posterior: Posterior, null_fit: MapEstimate, fitted: MapEsti
 def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
     """Add to a machine's evidence what its steady amplitude tells, which a random motion of the same spectrum has not."""
     lines = candidate.effect.lines()
-    if not lines or not plan_of(posterior).tells_tones or not np.isfinite(candidate.log_evidence):
+    if not lines or plan_of(posterior).knows_input or not np.isfinite(candidate.log_evidence):
         return candidate
     odds = tried(lambda: sum(tone_log_odds(posterior, candidate.fit, line) for line in lines), -np.inf)
     return replace(candidate, log_evidence=candidate.log_evidence + odds)

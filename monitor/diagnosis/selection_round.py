@@ -65,7 +65,7 @@ def run_selection_round(
     excluded = [key_of(e) for e in (*persistent, *fit.effects)]
     starts = rank_by_score(posterior, fit, excluded, settings.favourites)
     ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
-    if plan_of(posterior).separates_kinds:
+    if plan_of(posterior).knows_input:
         rough = _fit_driven_roughly(posterior, fit, ranked, [effect for _, effect in starts])
         fitted = fit_fully(posterior, fit, _shortlist_driven(ranked, rough, settings), rough, -np.inf)
         valid = [c for c in fitted.values() if is_valid_cause(posterior, c)]
@@ -199,11 +199,11 @@ def simulate_contenders(
 
 def _laws_in_doubt(posterior: Posterior, candidates: list[Candidate], settings: DiagnosisSettings) -> list[Key]:
     """List the nonlinear laws, by name and place, that may prove to be the best of the candidates, best first."""
-    if not candidates or candidates[0].log_evidence < settings.margin or plan_of(posterior).integrates_laws:
+    if not candidates or candidates[0].log_evidence < settings.margin:
         return []
     best = candidates[0]
     reach = best.log_evidence - max(settings.rival, settings.linearization * best.delta_log_posterior)
-    return [c.key for c in candidates if c.log_evidence > reach and c.effect.nonlinear]
+    return [c.key for c in candidates if c.log_evidence > reach and posterior.linearizes((c.effect,))]
 
 
 def _simulated(

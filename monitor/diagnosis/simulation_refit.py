@@ -16,7 +16,6 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.score_test import Candidate, key_of, score_candidate
 from monitor.inference import (
     CorrectedPosterior,
@@ -29,14 +28,13 @@ from monitor.inference import (
     linearization_error,
     linearize,
     maximize_posterior,
+    measure_moments,
     normal_moments,
-    simulate_exact,
-    simulate_moments,
     simulate_spectra,
     tried,
     with_coordinates,
 )
-from monitor.model import Context, Effect, StructuralPrior, loaded
+from monitor.model import Context, StructuralPrior, loaded
 
 Spectra = Annotated[ComplexArray, "classes bins c c"]
 Simulations = Annotated[ComplexArray, "k classes bins c c"]
@@ -150,7 +148,7 @@ def fit_initial_model(
 def fit_persistent_effects(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
     """Refit with the correction of the persistent laws only; without such laws or with measured ground motion, do not refit."""
     linear = replace(posterior, offset=None)
-    if plan_of(posterior).integrates_laws or not any(e.nonlinear for e in posterior.prior.effects(fit.x)):
+    if not posterior.linearizes(posterior.prior.effects(fit.x)):
         return linear, fit, normal_moments(posterior)
     simulated_fit = fit_by_simulation(linear, fit)
     return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
@@ -169,7 +167,6 @@ def _weaken_laws(posterior: Posterior, fit: MapEstimate) -> MapEstimate:
 
 
 def _only_sensors_nonlinear(fit: MapEstimate) -> bool:
-    """Decide if no law but sensors' is nonlinear."""
     return all(e.family == "sensor" for e in fit.effects if e.nonlinear)
 
 
@@ -180,9 +177,10 @@ def _iterate_simulation(posterior: Posterior, fit: MapEstimate, rounds: Rounds) 
     the exact law.  A round without slopes keeps those of the posterior.
     """
     loaded()
-    slopes, spurious, known = _stored_slopes(posterior, fit), np.zeros((0, 0)), 0
-    if len(slopes) and isinstance(posterior, CorrectedPosterior):
-        spurious, known = posterior.spurious_information, posterior.simulations
+    laws = tuple(key_of(e) for e in fit.effects if e.nonlinear)
+    slopes, spurious, known = np.zeros((0, *posterior.observed.spectra.shape), dtype=complex), np.zeros((0, 0)), 0
+    if laws and isinstance(posterior, CorrectedPosterior) and posterior.laws == laws:
+        slopes, spurious, known = posterior.slopes_by_size, posterior.spurious_information, posterior.simulations
     linear = replace(posterior, offset=None)
     for count, sloped in rounds:
         linear = replace(linear, conditions=linearize(linear, fit.x, fit.effects))
@@ -244,11 +242,11 @@ def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple
     The moments are those that the laws add to those of a normal process.
     """
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
-    simulated = simulate_spectra(
-        posterior, fit.x, fit.effects, acting, simulate_exact(posterior, fit.x, fit.effects, acting)
+    simulated = simulate_spectra(posterior, fit.x, fit.effects, acting)
+    exact, linearized = (
+        measure_moments(transforms, posterior, fit).mean for transforms in (simulated.exact, simulated.linearized)
     )
-    added = simulate_moments(simulated.exact, posterior, fit) - simulate_moments(simulated.linearized, posterior, fit)
-    return simulated.controlled, simulated.free, added
+    return simulated.controlled, simulated.free, exact - linearized
 
 
 def _simulate_slopes(
@@ -259,10 +257,7 @@ def _simulate_slopes(
     out = np.zeros((len(laws), *posterior.observed.spectra.shape), dtype=complex)
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
 
-    def offset_at(x: Array, effects: tuple[Effect, ...]) -> ComplexArray:
-        return linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting))
-
-    offset = offset_at(fit.x, fit.effects)
+    offset = linearization_error(posterior, fit.x, fit.effects, acting)
     for slope, (i, effect) in zip(out, laws, strict=True):
         if effect.family == "sensor":
             continue
@@ -270,16 +265,9 @@ def _simulate_slopes(
         sizes = x[posterior.layout.effects]
         step = _SIZE_DIFFERENCE * abs(sizes[i])
         sizes[i] += step
-        slope[:] = (offset_at(x, with_coordinates(fit.effects, sizes)) - offset) / step
+        moved = linearization_error(posterior, x, with_coordinates(fit.effects, sizes), acting)
+        slope[:] = (moved - offset) / step
     return out
-
-
-def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> Annotated[ComplexArray, "p classes bins c c"]:
-    """Return the slopes that the posterior has for the laws of a fit; none for other laws."""
-    laws = tuple(key_of(e) for e in fit.effects if e.nonlinear)
-    if isinstance(posterior, CorrectedPosterior) and posterior.laws == laws:
-        return posterior.slopes_by_size
-    return np.zeros((0, *posterior.observed.spectra.shape), dtype=complex)
 
 
 def _spurious_information(
@@ -296,10 +284,9 @@ def _spurious_information(
     return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
 
 
-def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
-    """Compute the covariance times the spurious information."""
+def _spurious_share(posterior: CorrectedPosterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
     whole = np.zeros_like(fit.covariance)
-    if isinstance(posterior, CorrectedPosterior) and posterior.spurious_information.any():
+    if posterior.spurious_information.any():
         sizes = [e.nonlinear for e in fit.effects for _ in e.parameters]
         nonlinear = posterior.layout.n_nuisance + np.flatnonzero(sizes)
         whole[np.ix_(nonlinear, nonlinear)] = posterior.spurious_information
@@ -311,7 +298,7 @@ def _largest_share(part: Annotated[Array, "n n"]) -> float:
     return float(np.abs(np.linalg.eigvals(part)).max())
 
 
-def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
+def _widen_covariance(posterior: CorrectedPosterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
     """Widen the covariance of estimates whose slopes have random error, as such a fit overestimates its information J'J."""
     part = _spurious_share(posterior, fit)
     wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _MAX_NOISE_INFORMATION / max(_largest_share(part), 1e-9)))

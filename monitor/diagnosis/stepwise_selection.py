@@ -36,7 +36,7 @@ from monitor.diagnosis.score_test import (
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_by_simulation, fit_initial_model
-from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, is_independent_of_direction, judge, refine
+from monitor.diagnosis.verdict import Alternatives, Diagnosis, is_independent_of_direction, judge, refine
 from monitor.inference import (
     CorrectedPosterior,
     MapEstimate,
@@ -92,12 +92,12 @@ class Search:
         Modes that the model lacks may be many.  So may sensors' faults where an input was measured, which separates them from all
         else; without one, several of them imitate crosstalk.
         """
-        apart = plan_of(self.posterior).separates_kinds
+        apart = plan_of(self.posterior).knows_input
         return sum(not (c.effect.repeatable or (apart and c.effect.family == "sensor")) for c in self.accepted)
 
     def threshold(self) -> float:
         """Compute the log evidence that the next cause needs, nats."""
-        if not plan_of(self.posterior).judges_by_bands:
+        if plan_of(self.posterior).knows_input:
             return self.margin
         cost = lack_of_fit_cost(self.posterior, find_lack_of_fit(self.posterior, self.fit, self.settings))
         return max(self.margin, self.settings.share * cost)
@@ -313,7 +313,7 @@ def _may_be_far_off(posterior: Posterior) -> bool:
     """Decide if the structure may be far from its prior, with modes to which the recording's own can be compared."""
     # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
     is_changed = any(e.parameters and e.family != "excitation" for e in posterior.prior.model.effects)
-    return not (plan_of(posterior).separates_kinds or posterior.prior.is_baseline or is_changed)
+    return not (plan_of(posterior).knows_input or posterior.prior.is_baseline or is_changed)
 
 
 def _follow(search: Search, start: MapEstimate) -> Search:
@@ -379,14 +379,15 @@ def _refit_ground_interpolation(
     Without the cause another interpolation may have compensated for the cause, and with that interpolation a cause with more
     parameters may look better.
     """
-    interpolations = {p.between: p for p in search.posterior.other_interpolations()}
+    interpolations = {p.observed.drive.between: p for p in search.posterior.other_interpolations()}
     if not interpolations or not candidates or candidates[0].candidate.log_evidence < min_gain:
         return None
     scored = []
     for p in candidates[:_N_GROUND_TESTS]:
         before = p.candidate.fit
         posterior, fit = fit_ground_interpolation(p.posterior, before)
-        scored.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.between))
+        evidence = p.candidate.log_evidence + fit.log_posterior - before.log_posterior
+        scored.append((evidence, posterior.observed.drive.between))
     posterior = interpolations.get(max(scored, key=lambda pair: pair[0])[1], search.posterior)
     if posterior is search.posterior:
         return None
@@ -414,8 +415,7 @@ def _refit_accepted(best: RefittedCandidate, n_accepted: int) -> tuple[Posterior
     fit = maximize_posterior(posterior, fit.x, fit.effects)
     posterior, fit = fit_exact_slopes(posterior, fit)
     posterior, fit = fit_ambient_forces(posterior, fit)
-    integrated = plan_of(posterior).integrates_laws
-    if n_accepted > 1 and has_nonlinear(fit) and not integrated:  # the present correction lacks the newest cause
+    if n_accepted > 1 and posterior.linearizes(fit.effects):  # the present correction lacks the newest cause
         simulated_fit = fit_by_simulation(posterior, fit)
         return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
     return posterior, fit, best.moments
@@ -491,7 +491,7 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     known = posterior.damped_as_built or isinstance(posterior, CorrectedPosterior)
     # A measured input shows the damping of modes that have hardly moved since calibration; a drawing knows of no damping.
     plan = plan_of(posterior)
-    known |= plan.shows_damping and not posterior.prior.is_baseline
+    known |= plan.knows_input and not posterior.prior.is_baseline
     if known or np.abs(change).max() <= plan.damping_shift:
         return ratios
     matrix = replace(ratios, damped_as_built=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference import DrivenPosterior, MapEstimate
+from monitor.inference import MapEstimate, Posterior
 from monitor.model import Condition, Context, Effect
 from monitor.signals import taper
 
@@ -95,11 +95,7 @@ def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
     context = posterior.context
     drifts, n = context.structure.drift_matrix(), context.structure.n_dofs
     whole = drifts.shape == (n, n) == context.sensors.shape
-    if (
-        not isinstance(posterior, DrivenPosterior)
-        or not whole
-        or posterior.observed.segments.t_s.size < _LEAST_SEGMENTS
-    ):
+    if not whole or posterior.observed.drive.located.size < _LEAST_SEGMENTS:
         return ()
     measured = _forces_and_drifts(posterior, fit, posterior.observed.segments.values)
     null = diagnosis.null_fit
@@ -113,9 +109,9 @@ _Series = tuple[ComplexArray, ComplexArray]
 """Transforms of the stories' forces, N/sqrt(Hz), and of their drifts, m/sqrt(Hz), shape (n_segments, n_bins, n) each."""
 
 
-def _forces_and_drifts(posterior: DrivenPosterior, fit: MapEstimate, channels: Channels) -> _Series:
+def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: Channels) -> _Series:
     """Compute forces and drifts from the channels' transforms with the masses of a fit."""
-    e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.drive
+    e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.observed.drive
     effects = posterior.effects(fit.x, fit.effects)
     n, hz = context.structure.n_dofs, e.band.hz
     true = true_motion(channels, effects, hz, context, posterior.conditions[0])
@@ -142,8 +138,7 @@ def true_motion(
     return true
 
 
-def _law(j: int, posterior: DrivenPosterior, measured: _Series, before: _Series, after: _Series) -> StoryLaw:
-    """Describe the law of the story of index j."""
+def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after: _Series) -> StoryLaw:
     power = (np.abs(measured[1][:, :, j]) ** 2).sum(axis=1)
     order, third = np.argsort(power), max(2, power.size // 3)
     groups = order[:third], order[-third:]
@@ -184,9 +179,9 @@ def _secant(
     return whole.real, spread * float(left_out.real.std()), whole.imag / whole.real, spread * float(loss.std())
 
 
-def _loop(posterior: DrivenPosterior, series: _Series, segment: int, j: int) -> Loop:
+def _loop(posterior: Posterior, series: _Series, segment: int, j: int) -> Loop:
     """Transform force and drift of story j back to time, in the middle half of a segment."""
-    e, design = posterior.observed, posterior.drive.design
+    e, design = posterior.observed, posterior.observed.drive.design
     n = design.n
     middle = slice(_FINER * n // 4, 3 * _FINER * n // 4)
     window = np.interp(np.arange(_FINER * n) / _FINER, np.arange(n), taper(n))[middle]

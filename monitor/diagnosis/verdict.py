@@ -172,7 +172,6 @@ def judge(
 
 
 def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
-    """List what the causes leave over."""
     at = found.posterior, found.fit, settings
     return (*find_changed_effects(*at), *find_lack_of_fit(*at))
 
@@ -182,9 +181,7 @@ def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCau
 
     The fit has the accepted causes, then the most probable alternative where the answer is ambiguous.
     """
-    if not has_nonlinear(fit) or plan_of(posterior).integrates_laws:
-        return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
-    refined = tried(lambda: refine_fit(posterior, fit), None)
+    refined = tried(lambda: refine_fit(posterior, fit), None) if posterior.linearizes(fit.effects) else None
     if refined is None or not refined[1].is_possible:
         return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
     near, fit = refined
@@ -201,7 +198,7 @@ def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) 
     """Keep only causes that bands without lack of fit confirm too: in others a search finds tones and laws that do not exist."""
     posterior, fit = found.posterior, found.fit
     wrong = wrong_bins(posterior, fit, settings)
-    if not found.n_accepted or not wrong.any() or not plan_of(posterior).judges_by_bands:
+    if not found.n_accepted or not wrong.any() or plan_of(posterior).knows_input:
         return found
     elsewhere = replace(posterior, left_out=wrong)
     whole = maximize_posterior(elsewhere, fit.x, fit.effects)

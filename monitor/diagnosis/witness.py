@@ -231,7 +231,6 @@ class _Comparison:
         return np.asarray(readings / (1j * omega) if sensor.turns else readings / -(omega**2))
 
     def _bins(self, hz: float) -> slice:
-        """Return the bins that belong to a mode."""
         at = round(hz / float(self.data.hz[1]))
         return slice(max(1, at - MAIN_LOBE_BINS), at + MAIN_LOBE_BINS + 1)
 
@@ -340,7 +339,6 @@ def _judge_other_mode(
 
 
 def _unit(sensor: WitnessSensor) -> str:
-    """Name the unit of a witness's motion over that of the structure."""
     return "rad per m" if sensor.turns else "m per m"
 
 

@@ -174,7 +174,6 @@ def _cut(
 
 
 def _transform(design: SegmentDesign, samples: Annotated[Array, "n k"]) -> Annotated[ComplexArray, "bins k"]:
-    """Transform a segment of samples less their mean."""
     return transform(design, samples - samples.mean(axis=0, dtype=np.float64))
 
 

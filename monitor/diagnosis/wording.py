@@ -153,7 +153,6 @@ def headline(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]
 
 
 def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]) -> str:
-    """State the verdict."""
     reference = diagnosis.posterior.prior
     causes = _causes_in_words(content["causes"], reference)
     match content["verdict"]:
@@ -270,5 +269,4 @@ def csd_error_in_words(error: float) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Capitalize a text and add a full stop."""
     return text[0].upper() + text[1:] + "."

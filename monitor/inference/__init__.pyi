@@ -4,14 +4,9 @@ from .driven_posterior import DrivenPosterior as DrivenPosterior
 from .exact_simulation import (
     draw_forces as draw_forces,
     linearization_error as linearization_error,
-    simulate_exact as simulate_exact,
     simulate_spectra as simulate_spectra,
 )
-from .excitation_fit import (
-    ExcitationStart as ExcitationStart,
-    fit_excitation as fit_excitation,
-    forces_from_quiet_segments as forces_from_quiet_segments,
-)
+from .excitation_fit import ExcitationStart as ExcitationStart, fit_excitation as fit_excitation
 from .force_levels import fit_levels as fit_levels, spectra_by_force as spectra_by_force
 from .forward_model import Prediction as Prediction
 from .higher_moments import (
@@ -19,7 +14,6 @@ from .higher_moments import (
     Moments as Moments,
     measure_moments as measure_moments,
     normal_moments as normal_moments,
-    simulate_moments as simulate_moments,
     tone_log_odds as tone_log_odds,
 )
 from .input_response import Drive as Drive

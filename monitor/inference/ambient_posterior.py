@@ -19,6 +19,7 @@ from monitor.inference.cross_spectra import (
     noise_density,
     random_spectra,
 )
+from monitor.inference.excitation_scoring import fit_by_scoring
 from monitor.inference.forward_model import Prediction
 from monitor.inference.posterior import FORCE_STD, Posterior, difference_operator, of_coordinates, with_coordinates
 from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
@@ -47,22 +48,17 @@ class AmbientPosterior(Posterior):
         if any(e.conditional for e in effects):
             return Posterior.linear_spectra(self, x, effects, classes)
         context, layout, noise, band = self.context_at(x), self.layout, self.noise(x), self.observed.band
-        condition, unforced = self.conditions[classes[0]], np.zeros(noise.size)
+        condition, unforced, diagonal = self.conditions[classes[0]], np.zeros(noise.size), np.arange(noise.size)
         system = extended(self.system(x, effects), effects, context, condition)
         unit = random_spectra(system, effects, Excitation(np.exp(x[layout.forces]), unforced), band, context, condition)
         lines, level = line_spectra(system, effects, band, context, condition), np.exp(x[layout.levels])
-        return np.stack([self._scale_to_level(unit, level[k], noise, effects) + lines for k in classes])
-
-    def _scale_to_level(self, unit: Spectrum, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Scale spectra without the channels' noise at level one to another level; the noise does not scale with the level."""
-        extra = noise_density(effects, self.context, self.conditions[0])
-        diagonal = np.arange(noise.size)
-        gain = self.observed.band.gain[:, None]
-        out = unit.copy()
-        out[:, diagonal, diagonal] -= extra * gain
-        out *= level
-        out[:, diagonal, diagonal] += (noise + extra) * gain
-        return out
+        extra, gain = noise_density(effects, self.context, self.conditions[0]), band.gain[:, None]
+        unit[:, diagonal, diagonal] -= (
+            extra * gain
+        )  # which does not scale with the level, nor does the channels' own noise
+        out = np.stack([unit * level[k] for k in classes])
+        out[:, :, diagonal, diagonal] += (noise + extra) * gain
+        return np.asarray(out + lines)
 
     @override
     def forces(self, x: Array) -> Array:
@@ -86,6 +82,10 @@ class AmbientPosterior(Posterior):
     def levels_of_equal_forces(self, ratio: Array) -> tuple[float, float | Array]:
         return 0.0, np.asarray(np.log(ratio))
 
+    @override
+    def fit_levels(self, x: Array) -> Array:
+        return fit_by_scoring(self, x)
+
     def force_prior(self, x: Array) -> tuple[Array, Array]:
         """The prior mean of every floor's force is the mean over floors."""
         own = x[self.layout.forces]
@@ -106,7 +106,7 @@ class AmbientPosterior(Posterior):
     def _slope_parts(
         self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int
     ) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-        """Differentiate the (smoothed) spectra by the coordinates from `first` on: the first parts of `SpectralSlopes`.
+        """Differentiate the spectra by the coordinates from `first` on: the first parts of `SpectralSlopes`.
 
         Most slopes are computed in the middle class and scaled by level, since they only weight the residual.
         """
@@ -144,7 +144,7 @@ class AmbientPosterior(Posterior):
         They are those of persistent effects that depend on the condition, and of all extra effects but for modes, and for those
         that act in proportion to the forces in a model that is alike in all classes.
         """
-        alike = self.error is None and self.offset is None
+        alike = self.prior.error is None and self.offset is None
         alike = alike and not any(e.conditional or e.lines() for e in self.effects(x, effects))
         return self.persistent_by_class() + [
             self.layout.n_nuisance + j
@@ -153,7 +153,6 @@ class AmbientPosterior(Posterior):
         ]
 
     def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
-        """Differentiate the (smoothed) spectra of the middle class."""
         middle = self.n_classes // 2
         systemic = self._systemic(x, effects, wanted)
         steps = np.array([self.nudged(x, i, effects)[0] for i in wanted])
@@ -166,12 +165,12 @@ class AmbientPosterior(Posterior):
                 h, moved = self.nudged(x, i, effects)
                 everything = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
                 out[j] = packed((self.linear_spectra(moved, everything, [middle])[0] - linear[0]) / h)
-        if self.error is not None or self.offset is not None:
+        if self.prior.error is not None or self.offset is not None:
             complete = partial(self.complete, x=x, effects=effects, classes=[middle])
             here = complete(linear)
             for d, h in zip(out, steps, strict=True):
                 d[:] = packed(_slope(complete, here, linear, unpacked(d), h)[0])
-        return out if self.smoothing is None else out @ self.smoothing.T
+        return out
 
     def _systemic(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> list[int]:
         """List the wanted coordinates that change the linear system or its forces alone, and not what is recorded of them."""

@@ -85,7 +85,8 @@ class CorrectedPosterior(AmbientPosterior):
         if not self._applies_to(effects):
             return None
         corrected = [e for e in effects if (e.name, e.location) in self.laws]
-        scale = self._coordinate_scale(x, corrected)
+        heavier = np.exp(x[self.layout.masses].mean() - self.ln_mass)  # in proportion to masses and stiffnesses
+        scale = np.array([heavier if p.weighty else 1.0 for e in corrected for p in e.parameters])
         sizes = np.concatenate([[], *[e.coordinates for e in corrected]]) / scale
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
         moving = _dependent_on_motion(corrected)
@@ -95,15 +96,14 @@ class CorrectedPosterior(AmbientPosterior):
             # The change of the motion that the size itself causes is part of the slope by the size.
             growth = iter((forced_motion(replace(self, offset=None), x, centred, moving) / self.motion).T)
             still = np.ones(self.n_classes)
-            factors = [_apparent_size_factor(e, next(growth) if e in moving else still) for e in corrected]
+            factors = [
+                (next(growth) if e in moving else still)[:, None]
+                ** np.array(e.amplitude_powers or (0.0,) * len(e.parameters))
+                for e in corrected
+            ]
             grown = sizes * (np.hstack(factors) - 1.0)
             relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
         return bound_corrections(relative)
-
-    def _coordinate_scale(self, x: Array, laws: Sequence[Effect]) -> Array:
-        """Compute the factor on the laws' coordinates that keeps their ratio to the masses and stiffnesses, shape (p,)."""
-        grown = np.exp(x[self.layout.masses].mean() - self.ln_mass)
-        return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def _different_in_classes(self, x: Array, effects: tuple[Effect, ...]) -> list[int]:
         """List all coordinates: a strongly nonlinear law has peaks at other frequencies in each class."""
@@ -147,11 +147,6 @@ class CorrectedPosterior(AmbientPosterior):
 def _dependent_on_motion(laws: Sequence[Effect]) -> list[Effect]:
     """Select the laws that act as ones of another size where the motion grows."""
     return [e for e in laws if e.amplitude_powers]
-
-
-def _apparent_size_factor(effect: Effect, growth: Annotated[Array, "classes"]) -> Annotated[Array, "classes p"]:
-    """Compute the factor on a law's parameters that acts as the growth of the motion along it does."""
-    return np.asarray(growth[:, None] ** np.array(effect.amplitude_powers or (0.0,) * len(effect.parameters)))
 
 
 def _congruence(root: NDArray[Any], inner: NDArray[Any]) -> ComplexArray:

@@ -12,22 +12,28 @@ from typing import Annotated, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import input_response
 from monitor.inference.arrays import Spectra, Transforms, TransformSlopes
 from monitor.inference.cross_spectra import extended
+from monitor.inference.excitation_scoring import fit_by_scoring
 from monitor.inference.forward_model import Laws, Prediction
-from monitor.inference.input_response import Between, Drive
-from monitor.inference.observed_spectra import ObservedSpectra
-from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
+from monitor.inference.input_response import Between
+from monitor.inference.observed_spectra import ObservedSpectra, classify, nearest_classes
+from monitor.inference.posterior import LEVEL_STD, Posterior, difference_operator, with_coordinates
 from monitor.model import Effect
 
 _FORCED = 1e-3
 """Share of the power beside a measured ground that forces cause, at the start. [ratio; judgement]"""
 _INITIAL_MODEL_ERROR = 0.5
 """Error of the model as a share of the amplitude at the start of a fit to driven motion. [ratio; judgement]"""
+_NO_LIKELIHOOD = 1e30
+"""Stands for a likelihood of zero. [nats; definition]"""
+_QUIET_SHARE = 1.0 / 3.0
+"""Share of the driven segments, the quietest, that tell the forces. [ratio; judgement]"""
 _WIND_STD = 0.15
 """Prior standard deviation of the logarithm of a floor's force that the recording's quiet segments tell. [1;
 judgement]"""
@@ -56,31 +62,14 @@ class DrivenPosterior(Posterior):
     wind: Annotated[Array, "n"] | None = None
     """Logarithms of the forces as estimated from the recording's quiet segments; None while they are not known."""
 
-    @property
-    def drive(self) -> Drive:
-        """The measured ground motion."""
-        assert self.observed.drive is not None
-        return self.observed.drive
-
-    @property
-    def power(self) -> Annotated[Array, "bins c"]:
-        """The channels' power of which the model's own error is a share, (m/s^2)^2/Hz."""
-        assert self.observed.power is not None
-        return self.observed.power
-
     @override
     def part(self, observed: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
         part = replace(Posterior.part(self, observed, classes), exact_slopes=None)
-        return part.between_samples(self.drive.between)
-
-    @property
-    @override
-    def between(self) -> Between | None:
-        return self.drive.between
+        return part.between_samples(self.observed.drive.between)
 
     @override
     def other_interpolations(self) -> tuple[Self, ...]:
-        return tuple(self.between_samples(b) for b in get_args(Between) if b != self.drive.between)
+        return tuple(self.between_samples(b) for b in get_args(Between) if b != self.observed.drive.between)
 
     @override
     def unmeasured_share(self, effects: Sequence[Effect]) -> float:
@@ -95,7 +84,7 @@ class DrivenPosterior(Posterior):
     def first_levels(self, ratio: Array) -> tuple[float, Array]:
         """The forces are small, and the levels are those of the model's error as a share of the power."""
         power = np.einsum("kfaa->kfa", self.observed.spectra).real
-        own = np.log(power / self.power).mean(axis=(1, 2)) + 2.0 * np.log(_INITIAL_MODEL_ERROR)
+        own = np.log(power / self.observed.power).mean(axis=(1, 2)) + 2.0 * np.log(_INITIAL_MODEL_ERROR)
         return float(np.log(ratio.mean()) + np.log(_FORCED)), np.asarray(own)
 
     @override
@@ -103,15 +92,55 @@ class DrivenPosterior(Posterior):
         """One level of all forces is guessed, and the model's own error is taken as the whole power."""
         return float(np.log(ratio).mean() + np.log(_FORCED)), 0.0
 
+    @override
+    def fit_levels(self, x: Array) -> Array:
+        """Fit one level of all forces, the model's own error in every class, and the noise of the ground and of the channels.
+
+        The forces explain residuals at the resonances, the error explains residuals at all frequencies.
+        """
+        layout, k = self.layout, self.n_classes
+        moving = np.zeros((k + 3, x.size))
+        moving[0, layout.forces] = 1.0
+        moving[1:-2, layout.levels] = np.eye(k)
+        moving[-2, layout.noise] = 1.0
+        moving[-1, layout.channel_noise] = 1.0
+        data = self.predict(x, ()).data  # levels do not change the means
+
+        def cost(by: Array) -> float:
+            value = -self.log_likelihood(self.scatter(x + by @ moving, ()), data)
+            return min(value + 0.5 * float(by @ by) / LEVEL_STD**2, _NO_LIKELIHOOD)
+
+        return np.asarray(x + minimize(cost, np.zeros(k + 3), method="Powell", options={"xtol": 1e-3}).x @ moving)
+
+    @override
+    def with_quiet_forces(self, x: Array, effects: tuple[Effect, ...]) -> tuple[Self, Array]:
+        """Wind acts in quiet segments too, while the error of the model's response grows with the ground's motion."""
+        e, layout = self.observed, self.layout
+        moved = (np.abs(self.mean(x, effects)) ** 2 / e.power).mean(axis=(1, 2))
+        quiet = classify(replace(e.segments, drive=e.drive).part(moved <= np.quantile(moved, _QUIET_SHARE)))
+        nearest = nearest_classes(self.n_classes, quiet.counts.size)
+        known = np.concatenate([x[: layout.levels.start], x[layout.levels][nearest], x[layout.levels.stop :]])
+        out = x.copy()
+        out[layout.forces] = fit_by_scoring(self.part(quiet, nearest), known, effects)[layout.forces]
+        return replace(self, wind=out[layout.forces]), out
+
+    @override
+    def linearizes(self, effects: Sequence[Effect]) -> bool:
+        return False
+
+    @override
+    def excess(self, x: Array, effects: Sequence[Effect], spectra: Spectra) -> Spectra:
+        """None: what is beyond is the model's own error about the response, and no motion by chance."""
+        return np.zeros_like(spectra)
+
     def between_samples(self, between: Between) -> Self:
         """Return the posterior with another assumption on the ground's motion between its samples."""
-        return replace(self, observed=replace(self.observed, drive=replace(self.drive, between=between)))
+        return replace(self, observed=replace(self.observed, drive=replace(self.observed.drive, between=between)))
 
     @override
     def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
-        spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
-        left = self.observed.segments.values - mean
-        return Prediction(spectra, self.smooth(input_response.products(left, self.observed.members)), left)
+        left = self.observed.segments.values - self.mean(x, effects)
+        return Prediction(self.scatter(x, effects), input_response.products(left, self.observed.members), left)
 
     @override
     def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
@@ -120,7 +149,7 @@ class DrivenPosterior(Posterior):
 
     @override
     def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> ComplexArray:
-        drive, band = self.drive, self.observed.band
+        drive, band = self.observed.drive, self.observed.band
         effects = self.effects(x, effects)
         base, context = self.system(x, effects), self.context_at(x)
         nonlinear = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
@@ -142,11 +171,11 @@ class DrivenPosterior(Posterior):
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
         """The model's own error is added."""
         level = np.exp(x[self.layout.levels])[list(classes), None, None, None]
-        return Posterior.linear_spectra(self, x, effects, classes) + level * _diagonal(self.power)
+        return Posterior.linear_spectra(self, x, effects, classes) + level * _diagonal(self.observed.power)
 
     def ground_noise(self, x: Array) -> float:
         """The noise that all channels share is also that of a ground's sensor."""
-        return float(np.exp(x[self.layout.noise])) if self.drive.has_ground else 0.0
+        return float(np.exp(x[self.layout.noise])) if self.observed.drive.rides.any() else 0.0
 
     def forces(self, x: Array) -> Array:
         """The densities of `x` apply to the prior mean of the masses.
@@ -172,19 +201,19 @@ class DrivenPosterior(Posterior):
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
         layout = self.layout
         out = np.zeros((x.size, *spectra.shape), dtype=complex)
-        if first >= layout.n_nuisance:
-            return self.effect_slopes(x, effects, spectra, first - layout.n_nuisance)
-        out[layout.effects] = self.effect_slopes(x, effects, spectra)
         # The forces are fixed until quiet segments give an estimate, since free forces would hide a wrong response at its peaks.
-        free = layout.structure if self.wind is None else slice(layout.forces.stop)
-        for i in (*range(free.stop), layout.noise):
-            out[i] = self._slope(x, i, effects, spectra)
+        n_free = layout.forces.start if self.wind is None else layout.forces.stop
+        for i in range(first, x.size):
+            if i > layout.noise:
+                out[i] = self.slope_by_class(x, i, effects, spectra)
+            elif i < n_free or i == layout.noise:
+                out[i] = self._slope(x, i, effects, spectra)
         for k, by_level in enumerate(out[layout.levels]):
-            by_level[k] = self.smooth(np.exp(x[layout.levels][k]) * _diagonal(self.power))
+            by_level[k] = np.exp(x[layout.levels][k]) * _diagonal(self.observed.power)
         return out[first:]
 
     def _slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: Spectra) -> Spectra:
-        """Differentiate the (smoothed) spectra by nuisance i in the middle class, since the slope only weights the residual.
+        """Differentiate the spectra by nuisance i in the middle class, since the slope only weights the residual.
 
         Slopes by persistent effects that act differently in each class are computed in every class.
         """
@@ -192,7 +221,7 @@ class DrivenPosterior(Posterior):
             return self.slope_by_class(x, i, effects, spectra)
         middle = self.n_classes // 2
         h, moved = self.nudged(x, i, effects)
-        change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
+        change = self.scatter(moved, effects, classes=[middle])[0] - spectra[middle]
         return np.broadcast_to(change / h, spectra.shape)
 
     def mean_slopes(
@@ -274,7 +303,6 @@ class DrivenPosterior(Posterior):
 
 
 def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
-    """Return names and places of the nonlinear effects."""
     return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 

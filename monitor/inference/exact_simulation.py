@@ -109,7 +109,6 @@ def _limit_band(forces: Annotated[Array, "samples n"], band: Band, rate_hz: floa
 
 
 def _nonlinear_sensors(effects: Sequence[Effect]) -> list[Effect]:
-    """Select the nonlinear sensor effects."""
     return [effect for effect in effects if effect.family == "sensor" and effect.nonlinear]
 
 
@@ -150,30 +149,28 @@ def class_means(posterior: Posterior, x: Array, effects: Sequence[Effect], trans
     return np.asarray(np.stack(out) * e.band.gain[:, None, None])
 
 
-def linearization_error(
-    posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
-) -> Spectra:
-    """Compute the exact less the linearized spectra of every class; `transforms` are those of `simulate_exact`.
+def linearization_error(posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces) -> Spectra:
+    """Simulate the exact less the linearized spectra of every class.
 
     A law of the structure is linearized at the motion that follows from the simulation's own spectra, as it is for the measured
     spectra.
     """
+    transforms = simulate_exact(posterior, x, effects, acting)
     if _nonlinear_sensors(posterior.effects(x, effects)):
         return _compare_sensors(posterior, x, effects, acting, transforms).controlled
     _, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
     return np.asarray(simulated - expected)
 
 
-def simulate_spectra(
-    posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
-) -> SimulatedSpectra:
+def simulate_spectra(posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces) -> SimulatedSpectra:
     """Compare the exact laws with the linearized laws under the same forces, with a control variate.
 
     The control variate is the linearized system under the same forces: its simulated less its expected spectra, times the
     squared regression of the exact response on it, are subtracted.  Both responses share their random error as far as they are
-    alike.  A sensor's law is always compared with the linear sensor under the same forces.  `transforms` are of `simulate_exact`.
+    alike.  A sensor's law is always compared with the linear sensor under the same forces.
     """
     e, everything = posterior.observed, posterior.effects(x, effects)
+    transforms = simulate_exact(posterior, x, effects, acting)
     if _nonlinear_sensors(everything):
         return _compare_sensors(posterior, x, effects, acting, transforms)
     posterior, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
@@ -272,7 +269,6 @@ def _squared_regression(cross: Spectrum, own: Spectrum) -> Array:
 
 
 def _apply_responses(transforms: ComplexArray, effects: Sequence[Effect], posterior: Posterior, k: int) -> ComplexArray:
-    """Apply the effects' frequency responses in class k to transforms."""
     for effect in effects:
         response = effect.response(posterior.observed.band.hz, posterior.context, posterior.conditions[k])
         if response is not None:

@@ -10,13 +10,13 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, ComplexArray
+from monitor.core import Array
 from monitor.inference.arrays import Spectra, Transforms
 from monitor.inference.cross_spectra import Excitation, cross_spectra, extended, modally_damped, noise_density
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
-from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
+from monitor.model import Condition, Context, Effect, Model, StructuralPrior, System
 
 _LINE_BINS = 3.0
 """Half-width of the band around a known machine's line that is not compared. [bins; the taper's main lobe]"""
@@ -60,8 +60,6 @@ class ForwardModel(ABC):
     """Simulated correction of the linearized spectra; None for no correction."""
     damped_as_built: bool = False
     """Whether the damping matrix is that of the structure without the extra effects; else the modal ratios do not change."""
-    smoothing: Annotated[Array, "coarse bins"] | None = None
-    """Matrix that averages bins into coarse ones for a fit from a distant start."""
     left_out: Annotated[NDArray[np.bool_], "bins"] | None = None
     """Mask of the bins that are not compared."""
 
@@ -75,11 +73,6 @@ class ForwardModel(ABC):
         """Layout of the groups of parameters in `x`."""
         return ParameterLayout.of(self.prior, self.n_classes)
 
-    @property
-    def error(self) -> ModelDiscrepancy | None:
-        """Known error of the model of the healthy structure; None where nothing is known of it."""
-        return self.prior.error
-
     def of_model_alone(self) -> Self:
         """Return the forward model without the simulated correction, the known model error and the sensors' drift."""
         return replace(self.without_drift(), offset=None, prior=replace(self.prior, error=None))
@@ -89,13 +82,11 @@ class ForwardModel(ABC):
         return self if self.observed.drift is None else replace(self, observed=replace(self.observed, drift=None))
 
     def widths(self) -> Annotated[Array, "bins"]:
-        """Compute the number of independent bins in each (coarse) bin.
+        """Compute the number of independent bins in each bin.
 
         The number is zero about known machines' lines, where a sensor's fault rules the spectrum, and in bins left out.  It is
         smaller where the model error is known.
         """
-        if self.smoothing is not None:
-            return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
         band = self.observed.band
         out = np.ones(band.n_bins)
         for line in self.prior.known_lines_hz:
@@ -104,34 +95,24 @@ class ForwardModel(ABC):
             out[(band.hz > low - 0.5 * band.bin_hz) & (band.hz < high + 0.5 * band.bin_hz)] = 0.0
         if self.left_out is not None:
             out[self.left_out] = 0.0
-        error = self.error
+        error = self.prior.error
         if error is not None:
             inside, at = error.at(band.hz)
             # A model error that is common to all segments and bins of a narrow band does not average out.
             out[inside] /= 1.0 + error.variance[at] * self.observed.pieces(error.step_hz / band.bin_hz)
         return out
 
-    def data(self) -> Spectra:
-        """Return the measured (smoothed) cross-spectra."""
-        return self.smooth(self.observed.spectra)
-
-    def smooth(self, spectra: ComplexArray) -> ComplexArray:
-        """Average bins, the third axis from the end, by `smoothing`."""
-        if self.smoothing is None:
-            return spectra
-        return np.asarray(np.moveaxis(np.tensordot(self.smoothing, spectra, axes=(1, -3)), 0, -3))
-
     def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
-        """Predict the (smoothed) spectra of the segments about their means."""
-        return Prediction(self.smooth(self.scatter(x, effects)), self.data())
+        """Predict the spectra of the segments about their means."""
+        return Prediction(self.scatter(x, effects), self.observed.spectra)
 
-    def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> Transforms | None:
-        """Predict the segments' means, the response to a measured ground; None without one.
+    def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> Transforms:
+        """Predict the segments' means, the response to measured inputs; zero without any.
 
         Nonlinear laws are integrated in time ("exact"); in longer steps, for differences of two means ("coarse"); or replaced by
         their linearization, which is faster.
         """
-        return None
+        return np.zeros_like(self.observed.segments.values)
 
     def spectra(self, x: Array, effects: Sequence[Effect]) -> Spectra:
         """Predict the cross-spectra of the classes."""
@@ -182,7 +163,7 @@ class ForwardModel(ABC):
 
         The error is that of the healthy structure's spectra, of which this noise is no part.
         """
-        error = self.error
+        error = self.prior.error
         if error is None:
             return spectra
         inside, at = error.at(self.observed.band.hz)

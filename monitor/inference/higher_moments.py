@@ -45,15 +45,12 @@ class Moments:
     """Excess kurtosis of every mode in a narrow band: 0 for a normal process, -1.5 for a tone."""
 
     def __add__(self, other: Moments) -> Moments:
-        """Add moments."""
         return Moments(self.skewness + other.skewness, self.kurtosis + other.kurtosis)
 
     def __sub__(self, other: Moments) -> Moments:
-        """Subtract moments."""
         return Moments(self.skewness - other.skewness, self.kurtosis - other.kurtosis)
 
     def __truediv__(self, n: float) -> Moments:
-        """Divide moments by a number."""
         return Moments(self.skewness / n, self.kurtosis / n)
 
     def mirrored(self, about: Moments) -> Moments:
@@ -104,11 +101,6 @@ def measure_moments(transforms: Transforms, posterior: Posterior, at: MapEstimat
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
     between = np.flatnonzero(~near.any(axis=0))
     return MeasuredMoments(mean, std, _kurtosis_between_modes(floors, level, between, hz))
-
-
-def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> Moments:
-    """Compute the moments of simulated segments as `measure_moments` does, without standard deviations."""
-    return measure_moments(transforms, posterior, at).mean
 
 
 def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,13 +80,13 @@ class Run:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """All measured inputs, with the places of the recording's segments in them."""
+    """All measured inputs, which may be none, with the places of the recording's segments in them."""
 
     inputs: tuple[Input, ...]
     """The k inputs, in the order of the columns."""
     runs: tuple[Run, ...]
     run: Annotated[NDArray[np.intp], "segments"]
-    """Index of every segment's run."""
+    """Index of every segment's run, -1 where no input was measured."""
     first: Annotated[NDArray[np.intp], "segments"]
     """First sample of every segment in its run."""
     design: SegmentDesign
@@ -94,10 +94,16 @@ class Drive:
     """Rate of the source's samples, Hz."""
     between: Between = "smooth"
 
+    @classmethod
+    def nothing(cls, n_segments: int, design: SegmentDesign, source_hz: float) -> Self:
+        """Stand for the inputs of a recording of which none was measured."""
+        nowhere = np.full(n_segments, -1, dtype=np.intp)
+        return cls((), (), nowhere, nowhere, design, source_hz)
+
     @property
-    def has_ground(self) -> bool:
-        """Whether the ground's motion is among the inputs."""
-        return any(one.floor is None for one in self.inputs)
+    def located(self) -> Annotated[NDArray[np.intp], "located"]:
+        """Indices of the segments during which the inputs were measured: all of them, or none."""
+        return np.flatnonzero(self.run >= 0)
 
     def forces(self, system: System) -> Annotated[Array, "N k"]:
         """Compute the forces on the degrees of freedom by a unit of each input, kg or 1."""

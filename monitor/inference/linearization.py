@@ -12,10 +12,9 @@ from scipy.linalg import eigh
 from monitor.core import Array, ComplexArray
 from monitor.inference.arrays import Spectra
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
-from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.input_response import motion_rms
-from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
+from monitor.inference.observed_spectra import class_temperature
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import MIN_PILED
 from monitor.inference.trial import require_finite
@@ -41,8 +40,8 @@ def linearize(
 
     The motion of narrow-band modes differs by chance from that expected at the level of the forces, and nonlinear laws depend
     on the actual motion.  The variance by the model is therefore corrected by a Wiener filter's estimate from the spectra, the
-    measured ones by default.  The motion costs as much as many fits of a linear model; without it it is NaN, which is enough
-    for a model without nonlinear effects.
+    measured ones by default, see `Posterior.excess`.  The motion costs as much as many fits of a linear model; without it it is
+    NaN, which is enough for a model without nonlinear effects.
 
     References
     ----------
@@ -59,7 +58,7 @@ def linearize(
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
     piled, band_hz = e.segments.piled >= MIN_PILED, float(e.band.hz[-1])
     for k, row in enumerate(rms):
-        excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
+        excess_degc = partial(_excess_degc, posterior, k)
         parts = row[:m], row[m : 2 * m], row[2 * m :]
         out.append(Condition(*parts, e.rms[k], excess_degc, e.segments.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
@@ -73,7 +72,7 @@ def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], s
     n, forces = context.structure.n_dofs, posterior.forces(x)
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
-    excess, out = spectra - posterior.scatter(x, effects), np.empty((posterior.n_classes, len(rows)))
+    excess, out = posterior.excess(x, effects, spectra), np.empty((posterior.n_classes, len(rows)))
     for k in range(posterior.n_classes):
         system = extended(base, everything, context, posterior.conditions[k])
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
@@ -84,20 +83,18 @@ def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], s
         hz = np.arange(min(max(0.2 * lowest, step), top), top, step)
         motion, _ = _motion_roots(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion[e.band.forced(hz)]) ** 2).sum(axis=(0, 2))
-        if isinstance(posterior, DrivenPosterior):
-            drive = posterior.drive.part(e.members[k])
-            driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
-            variance = variance + np.concatenate(driven) ** 2
-        else:
-            motion, channel_roots = _motion_roots(
-                system, everything, e.band.hz, forces[k], rows, order, context, posterior, k
-            )
-            channels = channel_roots @ channel_roots.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
-            wiener = np.linalg.solve(channels, channel_roots @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
-            # Motion slower than the structure is noise of sensors, integrated twice.
-            recorded = (e.band.hz > _SLOW_SHARE * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
-            excess_power = np.einsum("fra,fab,frb->r", wiener, recorded, wiener.conj()).real
-            variance = np.maximum(variance + 2.0 * e.band.bin_hz * excess_power, _MIN_MOTION * variance)
+        drive = e.drive.part(e.members[k])
+        driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
+        variance = variance + np.concatenate(driven) ** 2
+        motion, channel_roots = _motion_roots(
+            system, everything, e.band.hz, forces[k], rows, order, context, posterior, k
+        )
+        channels = channel_roots @ channel_roots.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
+        wiener = np.linalg.solve(channels, channel_roots @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
+        # Motion slower than the structure is noise of sensors, integrated twice.
+        recorded = (e.band.hz > _SLOW_SHARE * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
+        excess_power = np.einsum("fra,fab,frb->r", wiener, recorded, wiener.conj()).real
+        variance = np.maximum(variance + 2.0 * e.band.bin_hz * excess_power, _MIN_MOTION * variance)
         out[k] = np.sqrt(variance)
     return out
 
@@ -174,9 +171,9 @@ def _motion_roots(
     return np.concatenate([motion, still], axis=2), channels
 
 
-def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:
+def _excess_degc(posterior: Posterior, k: int, lag_s: float) -> float:
     """Compute `Condition.excess_degc`: the temperature of class k above the reference, by default the recording's mean."""
-    value = class_temperature(evidence, k, lag_s)
+    value, reference = class_temperature(posterior.observed, k, lag_s), posterior.prior.reference_degc
     if value is None:
         return 0.0
-    return value - (float(evidence.segments.temperature[:, 1].mean()) if reference_degc is None else reference_degc)
+    return value - (float(posterior.observed.segments.temperature[:, 1].mean()) if reference is None else reference)

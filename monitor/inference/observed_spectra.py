@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
-from monitor.inference import input_response
 from monitor.inference.arrays import Spectra, Transforms, mean_products
 from monitor.inference.cross_spectra import Band
-from monitor.inference.input_response import Drive
+from monitor.inference.input_response import Drive, smooth_power
 from monitor.inference.segments import Segments
 from monitor.signals import bin_correlation, overlap_correlation
 
@@ -47,10 +46,10 @@ class ObservedSpectra:
     """Segments that were averaged."""
     level: Annotated[Array, "segments"]
     """Level of every segment over that of its class."""
-    power: Annotated[Array, "bins c"] | None
-    """The channels' power of which a model's own error is a share; None without a measured ground."""
-    drive: Drive | None
-    """Measured ground motion, which `segments` no longer contain; None where it was not measured."""
+    power: Annotated[Array, "bins c"]
+    """The channels' power of which a model's own error about a response to measured inputs is a share, (m/s^2)^2/Hz."""
+    drive: Drive
+    """Measured inputs; those of `segments` know nothing of how they are taken to run between their samples."""
     drift: Annotated[Array, "bins c"] | None = None
     """Power density of the channels' drift, (m/s^2)^2/Hz; None where no channel drifts."""
     by_temperature: bool = False
@@ -74,6 +73,18 @@ def information_weight() -> float:
     return 1.0 / (bin_correlation() * (1.0 + 2.0 * overlap_correlation()))
 
 
+def nearest_classes(n: int, wanted: int) -> NDArray[np.intp]:
+    """Choose, out of n classes of rising level, those nearest to a wanted number of classes.
+
+    Examples
+    --------
+    >>> from monitor.inference.observed_spectra import nearest_classes
+    >>> nearest_classes(5, 3).tolist()
+    [0, 2, 4]
+    """
+    return np.rint(np.linspace(0, n - 1, wanted)).astype(np.intp)
+
+
 def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> ObservedSpectra:
     """Average the segments' cross-spectra in classes of level and of temperature, where that was measured and varies.
 
@@ -85,16 +96,15 @@ def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> Obser
     degc = _mean_temperature(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
     by_temperature = degc is not None and bool(np.ptp(degc) > _MIN_RANGE_DEGC)
     if label is None:
-        # One class where the ground was measured: the response is not averaged over levels, and quiet segments must not have more
+        # One class where inputs were measured: the response is not averaged over levels, and quiet segments must not have more
         # weight than the others.
-        most = _LEVEL_CLASSES if segments.drive is None else 1
+        most = 1 if segments.drive.inputs else _LEVEL_CLASSES
         label = _classes_of(level, degc if by_temperature else None, most)
     members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
     spectra = np.stack([mean_products(x[m]) for m in members])
     relative = np.ones(level.size)
     for m in members:
         relative[m] = level[m] / level[m].mean()
-    power = None if segments.drive is None else input_response.smooth_power(x, segments.band.bin_hz)
     return ObservedSpectra(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),
@@ -102,9 +112,9 @@ def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> Obser
         rms=np.stack([np.sqrt((segments.rms[m] ** 2).mean(axis=0)) for m in members]),
         members=members,
         band=segments.band,
-        segments=replace(segments, drive=None),
+        segments=segments,
         level=relative,
-        power=power,
+        power=smooth_power(x, segments.band.bin_hz),
         drive=segments.drive,
         drift=segments.drift,
         by_temperature=by_temperature,

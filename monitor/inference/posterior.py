@@ -23,7 +23,6 @@ from scipy.linalg import block_diag
 from monitor.core import Array
 from monitor.inference.arrays import Spectra, SpectraSlopes, TransformSlopes
 from monitor.inference.forward_model import ForwardModel, Prediction
-from monitor.inference.input_response import Between
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
 from monitor.inference.trial import tried
@@ -93,14 +92,32 @@ class Posterior(ForwardModel):
     ) -> tuple[float, float | Annotated[Array, "classes"]]:
         """Guess as `first_levels` with the least said of the forces: one level, or one a class."""
 
+    @abstractmethod
+    def fit_levels(self, x: Array) -> Array:
+        """Fit forces, levels of the classes and noise without extra effects; the rest of `x` does not change.
+
+        The force on each floor is a property of the recording, as its level is.  With equal forces on all floors, a wrong
+        structure that compensates for their differences would have the best score.
+        """
+
+    def with_quiet_forces(self, x: Array, effects: tuple[Effect, ...]) -> tuple[Self, Array]:
+        """Know the forces beside measured inputs from the quietest segments: return the posterior and `x` with them.
+
+        Without measured inputs itself, and `x` as it is.
+        """
+        return self, x
+
+    def linearizes(self, effects: Sequence[Effect]) -> bool:
+        """Decide if a law of some effects is linearized, which simulation corrects; a known motion is integrated exactly."""
+        return any(e.nonlinear for e in effects)
+
+    def excess(self, x: Array, effects: Sequence[Effect], spectra: Spectra) -> Spectra:
+        """Compute the spectra beyond those expected, which tell how the motion differs from the expected one by chance."""
+        return np.asarray(spectra - self.scatter(x, effects))
+
     def unmeasured_share(self, effects: Sequence[Effect]) -> float:
         """Compute the share of the motion that a ground motion causes which was not measured."""
         return sum(e.ground_share for e in effects)
-
-    @property
-    def between(self) -> Between | None:
-        """How the ground moves between its samples; None where it was not measured."""
-        return None
 
     def other_interpolations(self) -> tuple[Self, ...]:
         """Return the posteriors with the other assumptions on the ground's motion between its samples."""
@@ -113,10 +130,10 @@ class Posterior(ForwardModel):
     def log_likelihood(self, spectra: Spectra, data: Spectra | None = None, *, levelled: bool = False) -> float:
         """Compute the tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite.
 
-        Both spectra are (smoothed) ones; `data()` by default.  Levelled, each class's spectra are first multiplied by the factor
+        The data are the observed spectra by default.  Levelled, each class's spectra are first multiplied by the factor
         with which they fit the data best.
         """
-        log_det, trace = log_det_and_trace(spectra, self.data() if data is None else data)
+        log_det, trace = log_det_and_trace(spectra, self.observed.spectra if data is None else data)
         if not np.isfinite(log_det).all():
             return -np.inf
         if levelled:
@@ -142,19 +159,13 @@ class Posterior(ForwardModel):
 
     @abstractmethod
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0) -> SpectraSlopes:
-        """Differentiate the (smoothed) spectra, whose prediction at `x` is given, by the parameters from `first` on."""
+        """Differentiate the spectra, whose prediction at `x` is given, by the parameters from `first` on."""
 
     def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: Spectra) -> Spectra:
-        """Differentiate the (smoothed) spectra by coordinate i in every class."""
+        """Differentiate the spectra by coordinate i in every class."""
         h, moved = self.nudged(x, i, effects)
         after = with_coordinates(effects, moved[self.layout.effects])
-        return np.asarray((self.smooth(self.scatter(moved, after)) - spectra) / h)
-
-    def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0) -> SpectraSlopes:
-        """Differentiate the (smoothed) spectra by the extra effects' coordinates, from the first wanted one on."""
-        wanted = range(self.layout.n_nuisance + first, x.size)
-        slopes = [self.slope_by_class(x, i, effects, spectra) for i in wanted]
-        return np.array(slopes, dtype=complex).reshape(-1, *spectra.shape)
+        return np.asarray((self.scatter(moved, after) - spectra) / h)
 
     def persistent_by_class(self) -> list[int]:
         """List the coordinates of the persistent effects that act differently in each class."""
@@ -194,7 +205,7 @@ class Posterior(ForwardModel):
         self, spectra: Spectra, slopes: SpectraSlopes, data: Spectra | None = None
     ) -> tuple[Annotated[Array, "rows p"], Annotated[Array, "rows"]]:
         """Whiten slopes and residual into real rows of unit information, classes * bins * c * c of them."""
-        data = self.data() if data is None else data
+        data = self.observed.spectra if data is None else data
         root = self.root_information()
         return whiten(spectra, slopes, root), whiten(spectra, (data - spectra)[None], root)[:, 0]
 
@@ -207,7 +218,7 @@ class Posterior(ForwardModel):
         return np.concatenate([change, mean])[:, 0]
 
     def root_information(self) -> Annotated[Array, "classes bins"]:
-        """Compute the root of the information in each class and (coarse) bin."""
+        """Compute the root of the information in each class and bin."""
         return np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:

@@ -91,8 +91,8 @@ class Segments:
     """Largest magnitude of every channel's source samples, m/s^2."""
     piled: Annotated[NDArray[np.int64], "c"]
     """Number of each channel's samples that share its largest magnitude."""
-    drive: Drive | None
-    """Measured inputs, a ground motion or forces; None where none was measured."""
+    drive: Drive
+    """Measured inputs, a ground motion or forces."""
     temperature: Annotated[Array, "readings 2"]
     """s since the recording's first sample, degC; no rows where none was measured."""
     band: Band
@@ -145,16 +145,13 @@ class Segments:
 
     def with_inputs(self) -> Annotated[ComplexArray, "segments bins streams"]:
         """Return the transforms of all channels, then those of the measured inputs."""
-        if self.drive is None:
-            return self.values
         return np.concatenate([self.values, self.drive.measured(self.band)], axis=2)
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask."""
         share = float(chosen.mean()) if chosen.size else 0.0
-        drive = None if self.drive is None else self.drive.part(chosen)
         own = {name: getattr(self, name)[chosen] for name in ("values", "t_s", "rms", "above", "peaks")}
-        return replace(self, drive=drive, samples=round(self.samples * share), **own)
+        return replace(self, drive=self.drive.part(chosen), samples=round(self.samples * share), **own)
 
 
 def gather(
@@ -178,8 +175,9 @@ def gather(
     hz = np.asarray(np.arange(last + 1) * design.step_hz, dtype=float)
     gain = np.asarray(np.abs(_filter_response(conditioner, hz)) ** 2)
     whole = Band(first, last - first + 1, design.step_hz, gain[first:])
+    nothing = Drive.nothing(len(floors.segments), design, conditioner.rate_in_hz)
     located = _keep_strongest(inputs, floors, whole, most_driven, lead_s) if inputs else None
-    drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
+    drive, covered = located or (nothing, np.ones(len(floors.segments), dtype=bool))
     transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
     power = periodograms[:, first:].mean(axis=0)
@@ -190,7 +188,7 @@ def gather(
             "channels that move: take what was not measured out of the structure file"
         )
     # What shakes the structure is known where inputs were measured, and has to be found in the response elsewhere.
-    shown = transforms[:, first : last + 1] if drive is None else drive.measured(whole)
+    shown = drive.measured(whole) if drive.inputs else transforms[:, first : last + 1]
     band = find_judged_band(shown, whole)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     drifts = sensor_drift.find_drift(transforms[:, : last + 1], first)
@@ -203,7 +201,7 @@ def gather(
         peaks=peaks,
         peak=floors.peak,
         piled=floors.piled,
-        drive=None,
+        drive=nothing,
         temperature=np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2),
         band=band,
         whole=whole,
@@ -303,6 +301,7 @@ class _Floors(Stream):
         self.seconds = 0.0
         self.peak = np.zeros(len(front_end.channels))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
+        """Largest magnitude of each channel, and the number of samples that share it."""
         self.facts: list[list[channel_faults.RawFacts]] = []
         """Properties of the source's samples in every cell of every run."""
 
@@ -317,7 +316,11 @@ class _Floors(Stream):
                 self._begin_run(piece.t_ns)
             self._describe_cells(piece.values)
             self.seconds += part.values.shape[0] / self.conditioner.rate_hz
-            self._update_peak(np.abs(piece.values))
+            magnitude = np.abs(piece.values)
+            top = magnitude.max(axis=0, initial=0.0)
+            self.piled[top > self.peak * (1.0 + _CLIPPED_TOLERANCE)] = 0
+            self.peak = np.maximum(self.peak, top)
+            self.piled += (magnitude >= self.peak * (1.0 - _CLIPPED_TOLERANCE)).sum(axis=0)
             self._raw.append(piece.values)
             self._cut_segments(part.values)
         return parts
@@ -330,17 +333,7 @@ class _Floors(Stream):
         ]
         return f" ({'; '.join(silent)}; a diagnosis takes all channels)" if silent else ""
 
-    def _update_peak(self, magnitude: Array) -> None:
-        """Update the largest magnitude of each channel and the number of samples that share it."""
-        if not magnitude.size:
-            return
-        top = magnitude.max(axis=0)
-        self.piled[top > self.peak * (1.0 + _CLIPPED_TOLERANCE)] = 0
-        self.peak = np.maximum(self.peak, top)
-        self.piled += (magnitude >= self.peak * (1.0 - _CLIPPED_TOLERANCE)).sum(axis=0)
-
     def _begin_run(self, t_ns: int) -> None:
-        """Begin a run of samples without a gap."""
         if not self.facts:
             self.design, self.t0_ns = self._design_segments(), t_ns
         self._begin_ns, self._done = t_ns, 0
@@ -456,9 +449,11 @@ def _hum(transforms: ComplexArray, floors: _Floors) -> Iterator[LeftOut]:
 
 
 def _counted(n: int, kind: str) -> str:
-    """Count faults of a kind in words."""
-    plural = {"noise burst": "bursts of noise", "offset step": "steps of the offset"}.get(kind, f"{kind}s")
-    single = {"noise burst": "a burst of noise", "offset step": "a step of the offset"}.get(kind, f"a {kind}")
+    words = {
+        "noise burst": ("a burst of noise", "bursts of noise"),
+        "offset step": ("a step of the offset", "steps of the offset"),
+    }
+    single, plural = words.get(kind, (f"a {kind}", f"{kind}s"))
     return single if n == 1 else f"{n} {plural}"
 
 

@@ -22,14 +22,14 @@ _LITTLE_NOISE = 10.0
 
 
 def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: Context) -> Posterior:
-    """Make the posterior of a recording: driven where the ground was measured, else ambient.
+    """Make the posterior of a recording: driven where inputs were measured, else ambient.
 
     The motion of the classes is not known yet.  Until `linearize` has estimated the motion, all its values are one (m, m/s,
     m/s^2), which is sufficient as long as no effect depends on the motion.
     """
     n, c, stories = context.structure.n_dofs, len(context.channels), context.structure.n_stories
     unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
-    kind = AmbientPosterior if observed.drive is None else DrivenPosterior
+    kind = DrivenPosterior if observed.drive.inputs else AmbientPosterior
     return kind(observed, prior, context, (unknown,) * observed.counts.size)
 
 

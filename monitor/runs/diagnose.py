@@ -241,7 +241,7 @@ def _learn_beside_causes(
 
 def _mended(segments: Segments, config: Configuration) -> tuple[Segments, tuple[ClockDrift, ...]]:
     """Mend what the samples alone show to be wrong: drifting clocks, and, where the search cannot model them, clipped samples."""
-    whole = segments if segments.drive is None else segments.without_clipped()
+    whole = segments.without_clipped() if segments.drive.inputs else segments
     return correct_clock_drifts(whole, config.diagnosis)
 
 
@@ -255,7 +255,7 @@ def _with_site_effects(known: StructuralPrior, observed: ObservedSpectra, contex
         for kind_of_place in kind.places
         for place in locations(kind_of_place, context)
     )
-    if observed.drive is not None or not effects:
+    if observed.drive.inputs or not effects:
         return None
     return _with_persistent_effects(known, effects, context, condition)
 

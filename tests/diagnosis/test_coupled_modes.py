@@ -60,8 +60,8 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     model = SimpleNamespace(effects=(mode,))
     ln_forces = None if known is None else np.array(known)
     prior = SimpleNamespace(ln_forces=ln_forces, model=model, mean=np.zeros(3), effects=lambda _: (mode,))
-    layout, observed = SimpleNamespace(forces=slice(0, 3)), SimpleNamespace(drive=None)
-    at: Any = SimpleNamespace(prior=prior, layout=layout, context=CONTEXT, observed=observed)
+    layout = SimpleNamespace(forces=slice(0, 3))
+    at: Any = SimpleNamespace(prior=prior, layout=layout, context=CONTEXT)
     fit: Any = SimpleNamespace(x=np.array(forces))
     said = find_other_direction(at, fit, DiagnosisSettings())
     assert (said is not None) is found

@@ -76,7 +76,7 @@ def test_a_measured_ground_is_the_input() -> None:
         *cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100),
     ]
     segments = gather(blocks, config.front_end())
-    assert segments.drive is not None
+    assert segments.drive.inputs
     true = score(segments, config.model(), context_of(config))
     heavier = settings(masses_kg=[0.36, 0.35, 0.31])
     assert true.csd_error < 0.2

@@ -239,7 +239,7 @@ def test_a_force_tells_the_masses_which_no_output_shows() -> None:
 
 def test_a_force_that_the_structure_file_does_not_name_is_no_input() -> None:
     unnamed = FORCED.model_copy(update={"inputs": ()})
-    assert gather(pushed(seed=3), unnamed.front_end()).drive is None
+    assert gather(pushed(seed=3), unnamed.front_end()).drive.inputs == ()
     other = FORCED.model_copy(update={"inputs": (FORCED.inputs[0].model_copy(update={"channel": "hammer"}),)})
     with pytest.raises(
         BadInputError, match=r"/force: channel hammer of the structure file is not in the data, which has shaker"

@@ -66,7 +66,7 @@ def test_segments_that_reach_the_limit_are_left_out() -> None:
     given = segments(cut, ground)
     rest = given.without_clipped()
     assert 6 <= rest.t_s.size < given.t_s.size
-    assert rest.peaks[:, 1].max() < limit and rest.drive is not None and rest.drive.first.size == rest.t_s.size
+    assert rest.peaks[:, 1].max() < limit and rest.drive.located.size == rest.t_s.size
     assert segments(samples, ground).without_clipped().t_s.size == given.t_s.size
 
 

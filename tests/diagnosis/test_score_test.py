@@ -121,8 +121,9 @@ def test_a_candidate_without_finite_evidence_is_never_ranked(caplog: pytest.LogC
 
 def test_a_law_whose_simulation_diverges_is_no_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
     """As happens where a drift law is given to a bending element: the others keep their ranks."""
-    observed = SimpleNamespace(drive=None, segments=SimpleNamespace(values=None))
-    posterior, fit = cast(Posterior, SimpleNamespace(observed=observed)), cast(MapEstimate, SimpleNamespace())
+    observed = SimpleNamespace(segments=SimpleNamespace(values=None))
+    stub = SimpleNamespace(observed=observed, linearizes=lambda effects: any(e.nonlinear for e in effects))
+    posterior, fit = cast(Posterior, stub), cast(MapEstimate, SimpleNamespace())
     moments = Moments(np.zeros(3), np.zeros(3))
 
     def diverges(p: Posterior, f: MapEstimate, c: Candidate, effort: str = "rough") -> RefittedCandidate:
@@ -140,7 +141,7 @@ def test_a_law_whose_simulation_diverges_is_no_candidate(monkeypatch: pytest.Mon
 
 def test_a_rough_fit_that_is_no_valid_cause_keeps_no_rival_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """As of 2 % lost in the lowest story and a soft base, which no data tell apart, beside a mode at the band's end."""
-    posterior, fit = cast(Posterior, SimpleNamespace(observed=SimpleNamespace(drive=None))), cast(MapEstimate, None)
+    posterior, fit = cast(Posterior, SimpleNamespace()), cast(MapEstimate, None)
     best, base, loss, weak = (
         replace(candidate(evidence, place, nonlinear=False), delta_log_posterior=5.0)
         for evidence, place in ((60.0, "story 4"), (20.0, "story 3"), (20.0, "story 2"), (-20.0, "story 1"))

@@ -19,7 +19,6 @@ from monitor.inference import (
     gather,
     linearize,
     maximize_posterior,
-    simulate_exact,
     simulate_spectra,
 )
 from monitor.model import Effect, parse_effect, prior_from_drawing, simulate
@@ -49,7 +48,7 @@ def test_a_law_that_hardly_bends_has_no_offset(nonlinear: tuple[Posterior, MapEs
     for size in (1e3, STRONG):
         at = replace(null, effects=(parse_effect(CUBIC.format(size)),))
         acting = draw_forces(problem, at.x, at.effects, 3)
-        made = simulate_spectra(problem, at.x, at.effects, acting, simulate_exact(problem, at.x, at.effects, acting))
+        made = simulate_spectra(problem, at.x, at.effects, acting)
         sizes.append(whitened_rms(problem, at, made.controlled))
     assert sizes[0] < 1e-3 < 0.1 < sizes[1]
 
@@ -121,7 +120,7 @@ def test_a_correction_grows_with_the_motion(nonlinear: tuple[Posterior, MapEstim
 
     def simulated(x: np.ndarray, law: Effect = law) -> np.ndarray:
         made = [draw_forces(problem, x, (law,), seed) for seed in range(2)]
-        both = [simulate_spectra(problem, x, (law,), f, simulate_exact(problem, x, (law,), f)).controlled for f in made]
+        both = [simulate_spectra(problem, x, (law,), f).controlled for f in made]
         return np.asarray(np.mean(both, axis=0))
 
     here = simulated(x)

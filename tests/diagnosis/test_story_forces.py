@@ -83,4 +83,4 @@ def test_the_law_that_is_missing_is_seen_in_its_story_alone(effect: str, story: 
 def test_without_a_known_input_or_with_a_floor_without_a_sensor_nothing_is_said() -> None:
     unnamed = FORCED.model_copy(update={"inputs": ()})
     segments = gather(pushed(seed=8), unnamed.front_end())
-    assert segments.drive is None and laws(*fitted(segments)) == ()
+    assert not segments.drive.inputs and laws(*fitted(segments)) == ()

@@ -130,7 +130,7 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         z_before=random_error * z_before,
         z_after=random_error * residual_bands(problem, diagnosis.final_fit)[0],
         limit=diagnosis.settings.misfit,
-        doubtful_hz=[] if problem.error is None else problem.error.doubtful_hz(),
+        doubtful_hz=[] if problem.prior.error is None else problem.prior.error.doubtful_hz(),
         extended=bool(diagnosis.final_fit.effects),
     )
 

@@ -349,7 +349,7 @@ def _data(sheet: Sheet, diagnosis: Diagnosis, content: Content, segments: Segmen
         ("segments", f"{segments.t_s.size} of {1.0 / e.band.bin_hz:g} s, Hann taper, half overlapping"),
         ("classes", f"{e.counts.size} of vibration level or temperature: " + ", ".join(f"{n:g}" for n in e.counts)),
         ("band", "; ".join([f"{c.hz[0]:.2f} to {c.hz[-1]:.2f} Hz in steps of {e.band.bin_hz:g} Hz", *content["band"]["says"]])),
-        ("ground motion", "measured, and used as input" if e.drive is not None else "not measured"),
+        ("ground motion", "measured, and used as input" if e.drive.inputs else "not measured"),
         ("likelihood", "debiased Whittle likelihood of the classes' cross-spectra (complex Wishart), "
          f"tempered by {e.weight:.2f} for the correlation of neighbouring bins and segments"),
         ("reference", "baseline" if diagnosis.posterior.prior.is_baseline else "structure file"),
