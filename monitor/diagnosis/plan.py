@@ -59,11 +59,9 @@ class Plan:
     all, the forces on the floors tell from which direction the structure is excited, and the steadiness of an amplitude tells a
     machine."""
     starts_anywhere: bool
-    """Whether a fit may start from the end of another, whose slopes hold beside a cause and rank causes.  The phases of a driven
+    """Whether a fit may start from the end of another, whose slopes hold beside a cause and rank causes, or from the prior.  The phases of a driven
     response lead to the optimum from nearby only, and differ so much between two fits that what a cause changes at its first size
     ranks better (docs/measured-frames.md)."""
-    tries_beside_prior: bool
-    """Whether effects are tried beside the prior's structure too, where the fit without them went far from it."""
     damping_shift: float
     """Relative change of a frequency from which the form of the damping matters."""
 
@@ -78,7 +76,6 @@ AMBIENT = Plan(
     tolerance=_AMBIENT_TOLERANCE_NATS,
     knows_input=False,
     starts_anywhere=True,
-    tries_beside_prior=True,
     damping_shift=_FREQUENCY_SHIFT,
 )
 """Of a recording whose input is not known."""
@@ -94,7 +91,6 @@ DRIVEN = Plan(
     tolerance=COARSE,
     knows_input=True,
     starts_anywhere=False,
-    tries_beside_prior=False,
     damping_shift=0.0,
 )
 """Of a recording with a measured input."""

@@ -276,7 +276,7 @@ def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
 
     Modes that the model lacks lead a fit there for good: beside the prior's structure they are other modes.
     """
-    if not plan_of(posterior).tries_beside_prior or any(effect.repeatable for effect in null_fit.effects):
+    if not plan_of(posterior).starts_anywhere or any(effect.repeatable for effect in null_fit.effects):
         return False
     return is_far(posterior, null_fit)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.arrays import PackedSlopes, Spectra, Spectrum
+from monitor.inference.arrays import PackedSlopes, Spectra
 from monitor.inference.cross_spectra import (
     Excitation,
     extended,
@@ -210,9 +210,9 @@ class AmbientPosterior(Posterior):
         unmoved, forces = [np.zeros_like(part) for part in here], range(x.size)[layout.forces]
         still = extra_mode_changes(modes, np.zeros((len(modes), 2 + len(context.channels))))
 
-        def moved(i: int) -> tuple[SystemChange, Array]:
+        def moved(i: int) -> tuple[Array, ...]:
             if i in exact:
-                return SystemChange(*exact[i], sensors=unmoved[3], forces=unmoved[4], modes=still), unmoved[-1]
+                return (*exact[i], *unmoved[3:-1], still, unmoved[-1])
             h, moved_x = self.nudged(x, i, effects)
             with_one = list(everything)
             if i in owners:
@@ -221,17 +221,18 @@ class AmbientPosterior(Posterior):
                 with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
                 if one.extra_modes(context):
                     of_modes = extra_mode_changes(modes, (numbers(moved_x) - numbers(2.0 * x - moved_x)) / (2.0 * h))
-                    return SystemChange(*unmoved[:-1], modes=of_modes), unmoved[-1]
+                    return (*unmoved[:-1], of_modes, unmoved[-1])
             if i in forces or (i in owners and everything[owners[i]].keeps_structure):
                 _, there = at(moved_x, bare, context, with_one)
             else:
                 _, there = at(moved_x, self.system(moved_x, with_one), self.context_at(moved_x), with_one)
             *parts, lines = ((after - before) / h for after, before in zip(there, here, strict=True))
-            return SystemChange(*parts, modes=still), lines
+            return (*parts, still, lines)
 
-        changes, of_lines = zip(*map(moved, wanted), strict=True)
-        slopes = system_slopes(system, everything, self.forces(x)[middle], changes, band, context, condition, basis)
-        return slopes + np.array(of_lines) if has_lines else slopes
+        changes = [moved(i) for i in wanted]
+        of_system = [SystemChange(*change[:-1]) for change in changes]
+        slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition, basis)
+        return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
 
     def _exact_changes(
         self, x: Array, everything: Sequence[Effect], bare: System
