@@ -59,9 +59,9 @@ class Plan:
     all, the forces on the floors tell from which direction the structure is excited, and the steadiness of an amplitude tells a
     machine."""
     starts_anywhere: bool
-    """Whether a fit may start from the end of another, whose slopes hold beside a cause and rank causes, or from the prior.  The phases of a driven
-    response lead to the optimum from nearby only, and differ so much between two fits that what a cause changes at its first size
-    ranks better (docs/measured-frames.md)."""
+    """Whether a fit may start from the prior or from the end of another, whose slopes hold beside a cause and rank causes.  The
+    phases of a driven response lead to the optimum from nearby only, and differ so much between two fits that what a cause
+    changes at its first size ranks better (docs/measured-frames.md)."""
     damping_shift: float
     """Relative change of a frequency from which the form of the damping matters."""
 
