@@ -573,6 +573,18 @@ def test_modes_at_one_multiple_of_the_model_s_frequencies_raise_the_question_of_
         assert window.skipped is None or "times the frequencies" not in window.skipped.reason
 
 
+def test_floors_and_signs_are_asked_for_only_where_a_turned_channel_gives_the_missing_modes() -> None:
+    site = planar((1, 2, 3, 4, 5))
+    drawn = site.model().modes()
+    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
+    turned = by_modes(drawn.frequencies_hz.tolist(), np.array([[-1.0], [1.0], [1.0], [1.0], [1.0]]) * shapes, site, 1)
+    assert len(turned) == 4
+    for window in turned:
+        assert window.skipped is not None and "check floors and signs" in window.skipped.reason
+    for window in by_modes((1.6 * drawn.frequencies_hz[1:4]).tolist(), shapes[:, [3, 4, 2]], site, 1):
+        assert window.skipped is not None and "floors and signs" not in window.skipped.reason
+
+
 def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_its_modes() -> None:
     """Mode 3 of the healthy frame is gone, torsion is there: that may be the damage, so it is not judged, but nothing is lost."""
     site = planar((1, 2, 3, 4, 5))

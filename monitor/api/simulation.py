@@ -29,8 +29,9 @@ def simulate(
 
     Parameters
     ----------
-    excitation : {"ambient", "impulse", "ground", "force"}
-        White forces on every floor; a hammer blow every 10 s; a measured ground motion; measured forces beside the ambient ones.
+    excitation : {"ambient", "impulse", "ground", "force", "sweep"}
+        White forces on every floor; a hammer blow every 10 s; a measured ground motion; measured forces beside the ambient ones;
+        a shaker that sweeps once over the modes.
     noise
         Sensor noise, as a fraction of the mean RMS of the channels.
     damage

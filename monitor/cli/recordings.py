@@ -25,7 +25,7 @@ def simulate(
     structure: Structure,
     out: Annotated[Path | None, Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
     duration: Annotated[float, Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
-    excitation: Annotated[str, Option(help="ambient, impulse, ground or force.")] = "ambient",
+    excitation: Annotated[str, Option(help="ambient, impulse, ground, force or sweep (a shaker).")] = "ambient",
     noise: Annotated[
         float, Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
     ] = 0.05,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from math import inf
 from typing import ClassVar
 
@@ -21,9 +22,8 @@ from monitor.damage.quantities import LEAST_SHARE, UNCERTAIN, Covariates, Found,
 from monitor.identification import SelectionSettings, SubArray, expected_modes, identify, refine
 from monitor.model import InstrumentedModel
 
-_CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
+_CHECK = "see the modes that 'look' finds, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
-
 _ONE_FACTOR = 1.25
 """Largest over smallest multiple of the model's frequencies that still is one. [ratio; judgement: drawings are 10 % off]"""
 
@@ -174,25 +174,30 @@ class StoryStiffness:
         return missing if found < LEAST_SHARE * (found + len(missing)) or not modes.model_mode.size else {}
 
     def _elsewhere(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> str:
-        """State that modes of the missing modes' shapes lie at one multiple of their frequencies; empty where they do not."""
+        """State what gives missing modes counterparts: one multiple of their frequencies, or a channel turned or exchanged.
+
+        Two counterparts at least, each of one mode.  Empty where nothing does.
+        """
         if len(view.array.channels) < 2 or not modes.others:
             return ""
         measured = np.array([other.shape / np.linalg.norm(other.shape) for other in modes.others])
-        factors, found = [], []
-        for mode, _ in modes.missing:
-            shape = view.array.sensors @ self._reference_modes.shapes[:, mode]
-            likeness = np.abs(measured.conj() @ shape) ** 2 / float(shape @ shape)
-            best = int(likeness.argmax())
-            if likeness[best] >= select.min_model_mac:
-                found.append(best)
-                factors.append(modes.others[best].frequency_hz / self._reference_modes.frequencies_hz[mode])
-        if len(set(found)) < max(2, len(found)) or max(factors) > _ONE_FACTOR * min(factors):
-            return ""
-        times = float(np.exp(np.log(factors).mean()))
-        return (
-            f"modes of these shapes lie at {times:.2g} times the frequencies by the model: "
-            "are the sampling rate, masses and stiffness right?"
-        )
+        measured_hz = np.array([other.frequency_hz for other in modes.others])
+        missing = [mode for mode, _ in modes.missing]
+        shapes, each = view.array.sensors @ self._reference_modes.shapes[:, missing], np.eye(len(view.array.sensors))
+        turned = [each - 2.0 * np.outer(a, a) for a in each]
+        for change in (each, *turned, *(each - np.outer(a - b, a - b) for a, b in combinations(each, 2))):
+            likeness = np.abs(measured.conj() @ change @ shapes) ** 2 / (shapes**2).sum(axis=0)
+            is_like, best = likeness.max(axis=0) >= select.min_model_mac, likeness.argmax(axis=0)
+            factors = (measured_hz[best] / self._reference_modes.frequencies_hz[missing])[is_like]
+            if len(set(best[is_like].tolist())) < max(2, len(factors)) or max(factors) > _ONE_FACTOR * min(factors):
+                continue
+            times = float(np.exp(np.log(factors).mean()))
+            if change is each:
+                says = f"modes of these shapes lie at {times:.2g} times the frequencies by the model: "
+                return says + "are the sampling rate, masses and stiffness right?"
+            if is_like.all() and 1.0 / _ONE_FACTOR < times < _ONE_FACTOR:
+                return "with a channel turned, or two exchanged, modes there have these shapes: check floors and signs"
+        return ""
 
     def _unfitting(self, mode: int, modes: ModalEstimate) -> str:
         """State that the model cannot follow the counterpart of its `mode` (0 = lowest)."""

@@ -18,7 +18,7 @@ from monitor.core import Array
 from monitor.model.effects import Condition, Context, System
 from monitor.model.model import Model
 
-ExcitationKind = Literal["ambient", "impulse", "ground", "force"]
+ExcitationKind = Literal["ambient", "impulse", "ground", "force", "sweep"]
 _MEASURED_N = 10.0
 """RMS of a measured force, as a shaker's, beside ambient forces of 1 N. [N; definition]"""
 
@@ -115,16 +115,18 @@ def simulate(
     forced: Sequence[int] = (),
     turning: Array | None = None,
 ) -> Motion:
-    """Simulate a recording of a model under random forces, hammer blows, ground motion or measured forces.
+    """Simulate a recording of a model under random forces, hammer blows, ground motion, measured forces or a shaker's sweep.
 
     Raises ValueError if an effect shapes the forces or moves the ground, and `excitation` is the ground; or if a measured
     force has no floor.
 
     Parameters
     ----------
-    excitation : {"ambient", "impulse", "ground", "force"}
+    excitation : {"ambient", "impulse", "ground", "force", "sweep"}
         Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
-        acceleration of 0.5 m/s^2, measured; measured white forces of 10 N beside the ambient ones.
+        acceleration of 0.5 m/s^2, measured; measured white forces of 10 N beside the ambient ones; a shaker alone, on the floors
+        of the measured forces or, not measured, on floor 1: a sine of 10 N that rises over the recording, each octave in equal
+        time, from half the lowest mode's frequency to twice the highest's.
     noise : float
         Sensor noise, white at the nominal `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
         on every channel.  The sensor effects act on the noise as on the motion.  That of gyroscopes is the same fraction of
@@ -155,6 +157,10 @@ def simulate(
     forces, ground, measured = np.zeros((n_samples, n)), None, None
     if excitation in ("ambient", "force"):
         forces = level * rng.standard_normal((n_samples, n))
+    elif excitation == "sweep":
+        floors = np.array(forced or [1]) - 1
+        shaken = level * _swept(model, n_samples, rate_hz)[:, None] * np.ones(floors.size)
+        forces, measured = shaken @ np.eye(n)[floors], shaken if forced else None
     elif excitation == "impulse":
         forces[:: max(1, round(10.0 * rate_hz)), n // 2] = rate_hz  # 1 N s within one sample
     else:
@@ -185,6 +191,15 @@ def simulate(
         own_rms = noise * float(np.sqrt((rotation_rate**2).mean(axis=0)).mean())
         rotation_rate = rotation_rate + own_rms * effects_rng.standard_normal(rotation_rate.shape)
     return Motion(rate_hz, samples, ground, measured, rotation_rate)
+
+
+def _swept(model: Model, n: int, rate_hz: float) -> Annotated[Array, "n"]:
+    """Compute the force of a shaker that sweeps once over the modes below half the rate, N."""
+    hz = model.modes().frequencies_hz
+    lowest, highest = 0.5 * hz[0], min(2.0 * hz[-1], 0.5 * rate_hz)
+    octaves = np.log(highest / lowest)
+    cycles = lowest * n / rate_hz / octaves * np.expm1(octaves * np.arange(n) / n)
+    return np.asarray(np.sqrt(2.0) * _MEASURED_N * np.sin(2.0 * np.pi * cycles))
 
 
 def _integrated(values: Annotated[Array, "samples k"], rate_hz: float) -> Array:

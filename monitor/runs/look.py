@@ -197,6 +197,7 @@ def _look(
         health=tuple(read.health),
         transforms=transforms,
         step_hz=design.step_hz,
+        middles_s=middles_s,
         modes=tuple(modes),
         lowest_hz=lowest_hz,
     )

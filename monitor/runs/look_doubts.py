@@ -64,6 +64,8 @@ class Facts:
     transforms: Annotated[ComplexArray, "segments bins c"]
     """By the Hann taper."""
     step_hz: float
+    middles_s: Annotated[Array, "segments"]
+    """Middle of each segment."""
     modes: tuple[LookedMode, ...]
     lowest_hz: float
     """Lowest frequency at which modes were looked for."""
@@ -278,7 +280,7 @@ def _of_channels(facts: Facts) -> Iterator[str]:
     copies = channel_relations.find_copies(transforms)
     for i, j in copies:
         yield f"{facts.channels[moving[i]]} and {facts.channels[moving[j]]}: alike to the noise: may be one sensor, stored twice"
-    for delay in channel_relations.find_delays(transforms, facts.step_hz, facts.rate_hz, facts.duration_s):
+    for delay in channel_relations.find_delays(transforms, facts.step_hz, facts.rate_hz, facts.middles_s):
         if (min(delay.channel, delay.against), max(delay.channel, delay.against)) in copies:
             continue
         a, b = facts.channels[moving[delay.channel]], facts.channels[moving[delay.against]]

@@ -34,22 +34,16 @@ _WINDOWS = 4
 def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
     """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole."""
     sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
-    taken = sorted(sure, key=lambda mode: bool(mode.doubt))[
+    if not sure:
+        raise BadInputError(f"{', '.join(found.files)}: no mode to make a structure of; record longer, or more motion")
+    first = sorted(sure, key=lambda mode: bool(mode.doubt))[
         : len(found.channels)
     ]  # the lowest, those with a number first
-    modes = sorted(taken, key=lambda mode: mode.frequency_hz)
-    if not modes:
-        raise BadInputError(f"{', '.join(found.files)}: no mode to make a structure of; record longer, or more motion")
+    modes = sorted(first, key=lambda mode: mode.frequency_hz)
     doubts = []
     if unsure := [f"{mode.frequency_hz:.4g}" for mode in found.modes if not mode.remark and not _is_sure(mode)]:
         doubts.append(
             f"Left out: {', '.join(unsure)} Hz, whose damping is not told from zero or which have no second opinion."
-        )
-    if beyond := [f"{mode.frequency_hz:.4g}" for mode in sure if not any(mode is one for one in modes)]:
-        doubts.append(
-            f"{len(sure)} modes for {len(modes)} sensors: floors without a sensor, or motion in another direction. Those at "
-            f"{', '.join(beyond)} Hz are not in it: more sensors would tell them. Until then windows show them beside the "
-            "model's, which is no fault of floors, signs or units."
         )
     if mass_kg is None:
         doubts.append(
@@ -60,6 +54,18 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
     total = 1.0 if mass_kg is None else mass_kg
     frame = fit_frame(modes, order, total)
     misfit = frame_misfit(frame, modes, order)
+    if len(sure) > len(first):
+        beyond = ", ".join(f"{mode.frequency_hz:.4g}" for mode in sure if not any(mode is one for one in modes))
+        doubts.append(
+            f"{len(sure)} modes for {len(first)} sensors: floors without a sensor, or motion in another direction. "
+            + (
+                f"Those at {beyond} Hz are not in it: more sensors would tell them. Until then windows show them beside the "
+                "model's, which is no fault of floors, signs or units."
+                if misfit is None
+                else f"Floors {len(first) + 1} to {len(sure)} are no places: they hold what the sensors do not tell apart."
+            )
+        )
+    modes = modes if misfit is None else sure
     damping = float(np.clip(np.mean([mode.damping_ratio for mode in modes[:2]]), 1e-4, 0.99))
     if misfit is None:
         doubts += [
@@ -150,9 +156,14 @@ def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
     shape, also where floors have no sensor and the shapes at the others are not orthogonal
     (O'Callahan, Avitabile, Riemer, Proc. IMAC VII, 1989).
     """
-    n, m = len(modes[0].shape), len(modes)
     shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
-    basis = np.concatenate([shapes, np.linalg.svd(shapes)[0][:, m:]], axis=1)  # completed by what is orthogonal to them
+    c, m = shapes.shape
+    left, _, right = np.linalg.svd(shapes)
+    # Completed by what is orthogonal to them: where modes are more than sensors, by rows that no sensor sees.
+    basis, n = (
+        np.concatenate([shapes, left[:, m:]], axis=1) if m < c else np.concatenate([shapes, right[c:]]),
+        max(c, m),
+    )
     inverse = np.linalg.inv(basis)
     mass = inverse.T @ inverse
     mass *= mass_kg / mass.sum()

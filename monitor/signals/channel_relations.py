@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Annotated
 
 import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.signals.channel_faults import FALSE_RATE
-from monitor.signals.welch import bin_correlation, overlap_correlation
+from monitor.signals.welch import overlap_correlation
 
 _LEAST_COHERENCE = 0.5
 """Coherence of two channels from which a bin tells their phase. [1; judgement]"""
@@ -23,6 +24,8 @@ _LEAST_DELAY = 0.1
 """Least delay that is told. [samples; judgement: shapes that are slightly complex look like less]"""
 _DELAY_STRETCHES = 8
 """Stretches of a recording in each of which a delay is measured. [count; judgement]"""
+_LEAST_STRETCHES = 2.0
+"""Stretches in which a frequency moves, from which its phase tells a drift. [count; definition]"""
 _LEAST_STRETCH_SEGMENTS = 4
 """Segments in a stretch from which its coherence means something. [count; judgement]"""
 _COPY_INCOHERENCE = 1e-6
@@ -47,21 +50,18 @@ class Delay:
 
 
 def find_delays(
-    transforms: Annotated[ComplexArray, "segments bins c"], step_hz: float, rate_hz: float, stretch_s: float
+    transforms: Annotated[ComplexArray, "segments bins c"],
+    step_hz: float,
+    rate_hz: float,
+    middles_s: Annotated[Array, "segments"],
 ) -> tuple[Delay, ...]:
     """Find the channels whose delay against the channel most coherent with them grows, or differs from zero.
 
     Modes turn the phase between two channels by half a turn, whatever the frequency; a delay turns it in proportion to the
-    frequency.  Only what is significant among all channels is told, and only where the lower and the upper frequencies, and the
-    first and the second half of the time, show it each by itself and agree: a shaker's sweep, or complex shapes, turn phases too,
-    but not alike.
-
-    Parameters
-    ----------
-    transforms
-        Half-overlapping, from 0 Hz up, Hann taper.
-    stretch_s
-        Time that the segments span.
+    frequency.  Only what is significant among all channels by the scatter between ranges of frequency is told, and only where the
+    lower and the upper frequencies, and the first and the second half of the time, show it each by itself and agree: a shaker's
+    sweep, or complex shapes, turn phases too, but not alike.  Frequencies that move once, as in a sweep, show no drift.
+    Segments overlap by half, from 0 Hz up, Hann taper.
     """
     from scipy.special import stdtrit  # takes a while to load
 
@@ -69,18 +69,14 @@ def find_delays(
     per = n // _DELAY_STRETCHES
     if c < 2 or per < _LEAST_STRETCH_SEGMENTS:
         return ()
-    spectra = np.array(
-        [
-            np.einsum("ska,skb->kab", part, part.conj()) / per
-            for part in transforms[: per * _DELAY_STRETCHES].reshape(_DELAY_STRETCHES, per, *transforms.shape[1:])
-        ]
-    )
-    whole = spectra.mean(axis=0)
-    coherence = _coherence(whole)
+    stretches = transforms[: per * _DELAY_STRETCHES].reshape(_DELAY_STRETCHES, per, *transforms.shape[1:])[:, 1:]
+    times = middles_s[: per * _DELAY_STRETCHES].reshape(_DELAY_STRETCHES, per, 1)[:, 1:]
+    coherence = _coherence(np.einsum("tska,tskb->kab", stretches, stretches.conj()))
     informative = np.clip(coherence, 0.0, 1.0 - 1e-9)
     informative = np.where(coherence >= _LEAST_COHERENCE, informative / (1.0 - informative), 0.0)
     informative[0] = 0.0
     total = informative.sum(axis=0) * (1.0 - np.eye(c))
+    limit = float(stdtrit(_DELAY_STRETCHES - 1.0, 1.0 - FALSE_RATE / (4.0 * c)))
     found = []
     for a in range(c):
         b = int(total[a].argmax())
@@ -89,19 +85,24 @@ def find_delays(
         bins = np.flatnonzero(informative[:, a, b])
         if len(bins) < 2:
             continue
-        # Student's quantile: fewer bins tell less of how uncertain their delay is.
-        limit = float(stdtrit(len(bins) / bin_correlation() - 1.0, 1.0 - FALSE_RATE / (4.0 * c)))
-        independent = per / (1.0 + 2.0 * overlap_correlation())
         omega = np.asarray(2.0 * np.pi * step_hz * bins, dtype=float)
         # Of a phase, by Bendat and Piersol; neighbouring bins share half their data.
-        weight = np.asarray(0.5 * 2.0 * independent * informative[bins, a, b])
-        phases = _Phases(spectra[:, bins, a, b], omega, weight, stretch_s)
+        weight = np.asarray(per / (1.0 + 2.0 * overlap_correlation()) * informative[bins, a, b])
+        products = stretches[..., bins, a] * stretches[..., bins, b].conj()
+        size = np.maximum(np.abs(products), 1e-300)
+        at = (size * times).sum(axis=1) / size.sum(axis=1)
+        cross = products.mean(axis=1)
+        phases = _Phases(cross, at, omega, weight * np.abs(cross) / np.maximum(np.abs(cross).mean(axis=0), 1e-300))
         delay, parts = _delay(phases), [_delay(part) for part in phases.parts()]
-        drifts = _is_told([(one.drift, one.drift_std) for one in (delay, *parts)], limit)
-        drifts = drifts and abs(delay.drift) > _LEAST_DELAY / (rate_hz * stretch_s)
-        late = abs(delay.delay_s) > _LEAST_DELAY / rate_hz
-        if drifts or (late and _is_told([(one.delay_s, one.delay_std_s) for one in (delay, *parts)], limit)):
-            found.append(replace(delay, channel=a, against=b, drift=delay.drift if drifts else 0.0))
+        size_s, told = (
+            abs(delay.drift) * float(np.ptp(middles_s)),
+            [(one.drift, one.drift_std) for one in (delay, *parts)],
+        )
+        if abs(delay.drift) <= limit * delay.drift_std:
+            size_s, told = abs(delay.delay_s), [(one.delay_s, one.delay_std_s) for one in (delay, *parts)]
+            delay = replace(delay, drift=0.0)
+        if size_s > _LEAST_DELAY / rate_hz and _is_told(told, limit):
+            found.append(replace(delay, channel=a, against=b))
     return tuple(found)
 
 
@@ -117,66 +118,72 @@ class _Phases:
 
     cross: Annotated[ComplexArray, "stretches k"]
     """Cross-spectra."""
+    at: Annotated[Array, "stretches k"]
+    """Middle of what moved at a frequency in a stretch, s."""
     omega: Annotated[Array, "k"]
-    weight: Annotated[Array, "k"]
-    """One over the variance of a stretch's phase."""
-    stretch_s: float
-    """Time that all stretches span."""
+    told: Annotated[Array, "stretches k"]
+    """One over the variance of a phase: what is told of a frequency goes with the share of its motion in a stretch."""
 
-    def parts(self) -> tuple[_Phases, _Phases, _Phases, _Phases]:
+    def parts(self) -> tuple[_Phases, ...]:
         """Return the lower and the upper frequencies, of equal information, and the first and the second half of the time."""
-        information = np.cumsum(self.weight * self.omega**2)
+        information = np.cumsum(self.told.sum(axis=0) * self.omega**2)
         middle = int(np.clip(np.searchsorted(information, 0.5 * information[-1]), 1, len(information) - 1))
-        s = len(self.cross) // 2
-        low, high = (
-            replace(self, cross=self.cross[:, k], omega=self.omega[k], weight=self.weight[k])
-            for k in (slice(0, middle), slice(middle, None))
-        )
-        first, second = (
-            replace(self, cross=part, stretch_s=0.5 * self.stretch_s) for part in np.split(self.cross, [s])
-        )
-        return low, high, first, second
+        s, every = len(self.cross) // 2, slice(None)
+        cuts = (every, slice(middle)), (every, slice(middle, None)), (slice(s), every), (slice(s, None), every)
+        return tuple(_Phases(self.cross[t, k], self.at[t, k], self.omega[k], self.told[t, k]) for t, k in cuts)
 
 
 def _is_told(values: Sequence[tuple[float, float]], limit: float) -> bool:
     """Test that a value and those of two pairs of disjoint parts differ from zero alike, each by more than chance."""
     (_, *parts), signs = values, {np.sign(value) for value, _ in values}
-    pairs = (parts[:2], parts[2:])
-    agree = all(abs(a - b) <= limit * np.hypot(a_std, b_std) for (a, a_std), (b, b_std) in pairs)
+    agree = all(abs(a - b) <= limit * np.hypot(a_std, b_std) for (a, a_std), (b, b_std) in (parts[:2], parts[2:]))
     return len(signs) == 1 and agree and all(abs(value) > limit * std for value, std in values)
 
 
 def _delay(phases: _Phases) -> Delay:
     """Measure delay and drift from the cross-spectra of the stretches, and of all of them."""
-    cross, omega, weight, stretch_s = phases.cross, phases.omega, phases.weight, phases.stretch_s
-    information = float(weight @ omega**2)
-    # From one stretch to the next the phase turns by less than half a turn, unless the clocks differ by much.
-    turned = np.angle(cross[1:] * cross[:-1].conj())
-    steps = -(turned @ (weight * omega)) / information
-    s = len(cross)
-    at = (np.arange(s) - 0.5 * (s - 1)) * stretch_s / s
-    growing = np.concatenate([[0.0], np.cumsum(steps)])
-    drift = float(at @ growing / (at @ at))
-    rest = turned + np.diff(at)[:, None] * drift * omega
-    excess = max(1.0, 0.5 * float((rest**2 @ weight).mean()) / len(omega))
-    drift_std = float(np.sqrt(excess / (information * float(at @ at))))
+    cross, at, omega, told = phases.cross, phases.at, phases.omega, phases.told
     # Up to half turns, which are the modes' own.
-    slope = -0.5 * np.angle(cross.mean(axis=0) ** 2)
-    delay = float(slope @ (weight * omega)) / information
-    scatter = slope - delay * omega
-    # Shapes that are complex, and forces, add to chance.
-    excess = max(1.0, float(weight @ scatter**2) * s / max(1, len(omega) - 1))
-    return Delay(0, 0, delay, float(np.sqrt(excess / (information * s))), drift, drift_std)
+    weight, slope = told.sum(axis=0), -0.5 * np.angle(cross.mean(axis=0) ** 2)
+    delay = float(slope @ (weight * omega)) / float(weight @ omega**2)
+    delay_std = _scatter(weight[None], omega[None], (slope - delay * omega)[None])
+    # A frequency's phase is the shape's, and a clock turns it in time; that moves once, as in a sweep, tells none.
+    again = weight**2 > _LEAST_STRETCHES * (told**2).sum(axis=0)
+    if not again.any():
+        return Delay(0, 0, delay, delay_std, 0.0, inf)
+    cross, at, omega, told = cross[:, again], at[:, again], omega[again], told[:, again]
+    # From one stretch to the next the phase turns by less than half a turn.
+    fastest = np.pi * (len(cross) - 1) / (np.ptp(at.mean(axis=1)) * omega.max())
+    tried = np.linspace(-fastest, fastest, _DELAY_STRETCHES * len(cross) + 1)
+    unit, turn = np.sign(cross), 1j * at * omega
+    drift = float(max(tried, key=lambda d: np.abs((told * unit * np.exp(d * turn)).sum(axis=0)).sum()))
+    lever = (at - (told * at).sum(axis=0) / told.sum(axis=0)) * omega
+    for _ in range(3):  # by least squares from there
+        straight = unit * np.exp(drift * turn)
+        rest = np.angle(straight * (told * straight).sum(axis=0).conj())
+        drift -= float((told * lever * rest).sum() / (told * lever**2).sum())
+    return Delay(0, 0, delay, delay_std, drift, _scatter(told, lever, rest))
+
+
+def _scatter(told: Array, lever: Array, rest: Array) -> float:
+    """Estimate the standard deviation of a slope from what it leaves over in disjoint ranges of frequency, or of chance.
+
+    Complex shapes, and forces that change, turn the phase in neighbouring bins alike.
+    """
+    information = (told * lever**2).sum(axis=0)
+    total = max(float(information.sum()), 1e-300)
+    at = np.minimum(np.cumsum(information) / total * _DELAY_STRETCHES, _DELAY_STRETCHES - 1).astype(int)
+    pulls = np.bincount(at, (told * lever * rest).sum(axis=0))
+    excess = max(1.0, float((told * rest**2).sum()) / max(1, max(1, len(rest) - 1) * rest.shape[1] - 1))
+    return float(np.sqrt(max(excess * total, pulls @ pulls * _DELAY_STRETCHES / (_DELAY_STRETCHES - 1)))) / total
 
 
 def find_copies(transforms: Annotated[ComplexArray, "segments bins c"]) -> tuple[tuple[int, int], ...]:
     """List the pairs of channels one of which is a copy of the other."""
     coherence = _coherence(np.einsum("ska,skb->kab", transforms, transforms.conj()))
     middle = np.median(1.0 - coherence[1:], axis=0)
-    c = transforms.shape[2]
-    return tuple(
-        (a, b) for a in range(c) for b in range(a + 1, c) if len(transforms) > 1 and middle[a, b] < _COPY_INCOHERENCE
-    )
+    pairs = np.argwhere(np.triu(middle < _COPY_INCOHERENCE, 1)) if len(transforms) > 1 else ()
+    return tuple((int(a), int(b)) for a, b in pairs)
 
 
 def folded_share(power: Annotated[Array, "bins c"]) -> Annotated[Array, "c"]:

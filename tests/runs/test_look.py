@@ -169,12 +169,12 @@ def test_matrices_of_fewer_sensors_than_floors_have_the_measured_shapes_whatever
     assert np.array(config.structure.mass_matrix).sum() == pytest.approx(2.0)
     assert "3 modes for 2 sensors" in (tmp_path / "x.toml").read_text()
     drawn = config.model()
-    softer = drawn.with_stiffness(drawn.structure.stiffness_n_per_m * [0.81, 1.0])
-    for model, factors in ((drawn, [1.0, 1.0]), (softer, [0.9, 1.0])):
+    softer = drawn.with_stiffness(drawn.structure.stiffness_n_per_m * [0.81, 1.0, 1.0])
+    for model, factors in ((drawn, [1.0, 1.0, 1.0]), (softer, [0.9, 1.0, 1.0])):
         modes = model.modes()
-        measured = [mode.frequency_hz * k for mode, k in zip(found.modes, factors, strict=False)]
+        measured = [mode.frequency_hz * k for mode, k in zip(found.modes, factors, strict=True)]
         assert modes.frequencies_hz == pytest.approx(measured, rel=1e-6)
-        for shape, mode in zip(modes.shapes.T, found.modes, strict=False):
+        for shape, mode in zip(modes.shapes.T, found.modes, strict=True):
             assert shape[1] / shape[0] == pytest.approx(mode.shape[1].real / mode.shape[0].real, rel=1e-6)
 
 

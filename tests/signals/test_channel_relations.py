@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import cheby1, chirp, lfilter, sosfilt
 
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals import channel_relations
 from tests.support.simulated import segments_of
 
@@ -25,14 +27,25 @@ def transforms(samples: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def delays(samples: np.ndarray) -> tuple[channel_relations.Delay, ...]:
-    return channel_relations.find_delays(*transforms(samples), RATE_HZ, SECONDS)
+    n = len(samples) // 60 * 2
+    found, step_hz = segments_of(samples, RATE_HZ, n, n // 2 + 1)
+    return channel_relations.find_delays(found, step_hz, RATE_HZ, (np.arange(len(found)) + 1.0) * 0.5 / step_hz)
 
 
 def shifted(samples: np.ndarray, late_s: np.ndarray | float) -> np.ndarray:
     t = np.arange(len(samples)) / RATE_HZ
     out = samples.copy()
-    out[:, 1] = np.interp(t - late_s, t, samples[:, 1])
+    out[:, 1] = CubicSpline(t, samples[:, 1])(t - late_s)
     return out
+
+
+def swept(seed: int, times: int) -> np.ndarray:
+    """A frame of three stories that a shaker sweeps through, once or again and again, and noise."""
+    rng = np.random.default_rng(seed)
+    masses, stiffness = np.array([1.0, 1.1, 0.9]), 900.0 * rng.uniform(1.0, 3.0, 3)
+    model = Model(ShearFrame(masses, stiffness, rng.choice([0.003, 0.01, 0.02])))
+    motion = simulate(model, duration_s=300.0 / times, rate_hz=RATE_HZ, excitation="sweep", noise=0.01, seed=seed)
+    return np.tile(motion.floors, (times, 1)) + 0.01 * motion.floors.std() * rng.standard_normal((30000, 3))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -49,9 +62,32 @@ def test_a_shakers_sweep_gives_no_delay(first_hz: float, last_hz: float) -> None
     modes = np.transpose([lfilter([1.0, -2.0, 1.0], [1.0, -b, c], force) for c, b in poles])
     clean = modes @ np.array([[1.0, 0.8, 0.5], [0.7, -0.4, -1.0]])
     samples = clean + 0.02 * clean.std() * np.random.default_rng(0).standard_normal(clean.shape)
-    n = len(t) // 30
-    found, step_hz = segments_of(samples, RATE_HZ, n, n // 2 + 1)
-    assert channel_relations.find_delays(found, step_hz, RATE_HZ, 300.0) == ()
+    assert delays(samples) == ()
+
+
+@pytest.mark.parametrize("times", [1, 4])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_frame_under_sweeps_has_one_clock_whatever_its_shapes(seed: int, times: int) -> None:
+    assert delays(swept(seed, times)) == ()
+    assert delays(swept(seed, times) * [1.0, -1.0, 1.0]) == ()
+
+
+def test_a_drifting_clock_is_told_of_sweeps_that_come_again_and_of_one_sweep_nothing_else() -> None:
+    """What moves once in one range of frequencies only shows no change in time; a mean delay of a clock that drifts is none."""
+    for seed in range(4):
+        late_s = 100e-6 * np.arange(30000) / RATE_HZ
+        found = delays(shifted(swept(seed, 4), late_s))
+        assert found and all(1 in (one.channel, one.against) for one in found)
+        assert [abs(one.drift) for one in found] == pytest.approx([100e-6] * len(found), rel=0.1)
+        assert delays(shifted(swept(seed, 1), late_s)) == ()
+
+
+def test_a_late_channel_is_told_under_a_sweep() -> None:
+    found = [one for seed in range(4) for one in delays(shifted(swept(seed, 1), 0.004))]
+    assert found
+    for one in found:
+        assert one.drift == 0.0
+        assert (one.delay_s if one.channel == 1 else -one.delay_s) == pytest.approx(0.004, rel=0.5)
 
 
 def test_a_drifting_clock_is_told_with_its_rate() -> None:
