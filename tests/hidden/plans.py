@@ -103,13 +103,16 @@ def structure(seed: int, name: str) -> Truth:
 
 def draw(truth: Truth, name: str, seed: int, size: float | None = None) -> Plan:
     """The trial `name`; place, sign and size (its first one, unless it is given) from the seed."""
-    duration_s = TEMPERATURE_S if name == "temperature" else RECORD_S
-    act, motion = healthy(truth, seed)
-    site = Site(
-        truth, motion, act, np.random.default_rng([seed, 103]), duration_s, iter(() if size is None else (size,))
-    )
+    site = site_of(truth, seed, size, TEMPERATURE_S if name == "temperature" else RECORD_S)
     kind, hidden, act = _drawn(site, name)
-    return Plan(kind, hidden, lambda: world.blocks(world.record(act, duration_s, seed), act.degc))
+    return Plan(kind, hidden, lambda: world.blocks(world.record(act, site.duration_s, seed), act.degc))
+
+
+def site_of(truth: Truth, seed: int, size: float | None, duration_s: float = RECORD_S) -> Site:
+    """Where an effect of a trial is hidden."""
+    act, motion = healthy(truth, seed)
+    sizes = iter(() if size is None else (size,))
+    return Site(truth, motion, act, np.random.default_rng([seed, 103]), duration_s, sizes)
 
 
 def _drawn(site: Site, name: str) -> tuple[str, tuple[Hidden, ...], Act]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+
+Fault = Callable[[np.ndarray, float], np.ndarray]
+"""Changes samples (n_samples, n_channels), which come at a rate in Hz."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,6 +26,8 @@ class Sensors:
     limit: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
     dropouts: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Mean number a minute."""
+    fault: Fault | None = None
+    """What the logger makes of all samples at last."""
 
 
 def ideal(channels: int) -> Sensors:
@@ -45,7 +51,7 @@ def sensed(sensors: Sensors, clean: np.ndarray, rate_hz: float, rng: np.random.G
         for _ in range(rng.poisson(sensors.dropouts[j] * len(samples) / rate_hz / 60.0)):
             at = rng.integers(len(samples))
             samples[at : at + round(rate_hz * rng.uniform(0.1, 1.0)), j] = 0.0
-    return samples
+    return samples if sensors.fault is None else sensors.fault(samples, rate_hz)
 
 
 def _delayed(x: np.ndarray, seconds: float, rate_hz: float) -> np.ndarray:

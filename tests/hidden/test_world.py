@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.hidden import catalogue, world
+from monitor.model import EFFECTS
+from tests.hidden import catalogue, outside, world
 from tests.hidden.truth import PLAIN, Site, healthy
 
 
@@ -45,3 +46,14 @@ def test_a_fast_clock_makes_tones_slow() -> None:
     x = world.record(tone, 120.0, 4)[20 * 1024 :, 0]
     hz = np.fft.rfftfreq(8 * x.size, 1.0 / 1024.0)[np.abs(np.fft.rfft(x * np.hanning(x.size), 8 * x.size)).argmax()]
     assert hz == pytest.approx(11.0 / 1.01, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", outside.NAMES)
+def test_what_is_in_no_catalogue_changes_a_record(name: str) -> None:
+    act, motion = healthy(PLAIN, 7)
+    near, changed = outside.DRAWS[name](Site(PLAIN, motion, act, np.random.default_rng([7, 103]), 60.0))
+    plain, recorded = (world.record(one, 60.0, 7) for one in (act, changed))
+    apart = (recorded - plain).std(axis=0) / plain.std(axis=0)
+    assert 0.02 < apart.max() < 2.0
+    assert {hidden.effect for hidden in near} <= set(EFFECTS)
+    assert (world.record(changed, 60.0, 7) == recorded).all()

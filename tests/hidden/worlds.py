@@ -6,9 +6,11 @@ from types import ModuleType
 
 import numpy as np
 
-from tests.hidden import building_trials, plans, shaken
+from tests.hidden import building_trials, outside, plans, shaken
 
-WORLDS: dict[str, ModuleType] = {"planar": plans, "building": building_trials, "shaken": shaken}
+WORLDS: dict[str, ModuleType] = {
+    "planar": plans, "building": building_trials, "shaken": shaken, "outside": outside,
+}  # fmt: skip
 """Each has `NAMES` of a round of trials, `structure` of a seed and a name, and `draw`, which makes the plan of a trial."""
 NAMES = tuple(name for world in WORLDS.values() for name in world.NAMES)
 
@@ -29,4 +31,4 @@ def rounds(n: int, seed: int, names: tuple[str, ...]) -> list[tuple[int, str]]:
 
 def clean(world: str) -> str:
     """Name of a world's clean trial."""
-    return next(name for name in WORLDS[world].NAMES if "clean" in name)
+    return next(name for name in (*WORLDS[world].NAMES, *plans.NAMES) if "clean" in name)
