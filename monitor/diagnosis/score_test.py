@@ -10,7 +10,6 @@ from itertools import chain
 from typing import Annotated
 
 import numpy as np
-from scipy.stats import chi2
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import first_guess, fit_exact_slopes
@@ -283,9 +282,11 @@ def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
 
 def is_far(posterior: Posterior, fit: MapEstimate) -> bool:
     """Decide if the structure of a fit is improbable by its prior: as few as one in a thousand lie as far."""
+    from scipy.special import chdtrc  # takes a while to load
+
     at, n_held = posterior.prior.mean.copy(), _n_held(posterior)
     at[:n_held] = fit.x[:n_held]
-    return bool(chi2.sf(-2.0 * posterior.prior.log_density(at), n_held) < _FAR_PROBABILITY)
+    return bool(chdtrc(n_held, -2.0 * posterior.prior.log_density(at)) < _FAR_PROBABILITY)
 
 
 def _n_held(posterior: Posterior) -> int:

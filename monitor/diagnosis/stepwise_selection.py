@@ -258,7 +258,7 @@ def prefer_cause_to_coupling(search: Search) -> tuple[Search, list[RefittedCandi
     Return the state with the modes uncoupled, and the causes, best first; the state as it was, and no cause, where there is none.
     """
     posterior, fit = search.posterior, search.fit
-    if not posterior.prior.is_baseline:  # the search began with the modes uncoupled too
+    if not posterior.prior.is_baseline:  # whether they are coupled was decided at the start, see `start_from_modes`
         return search, []
     apart = uncouple_modes(posterior, fit, search.null_fit.x[posterior.layout.nuisances])
     if apart is None:

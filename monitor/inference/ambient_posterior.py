@@ -53,9 +53,8 @@ class AmbientPosterior(Posterior):
         unit = random_spectra(system, effects, Excitation(np.exp(x[layout.forces]), unforced), band, context, condition)
         lines, level = line_spectra(system, effects, band, context, condition), np.exp(x[layout.levels])
         extra, gain = noise_density(effects, self.context, self.conditions[0]), band.gain[:, None]
-        unit[:, diagonal, diagonal] -= (
-            extra * gain
-        )  # which does not scale with the level, nor does the channels' own noise
+        # What effects add to the channels' noise does not scale with the level, nor does that noise itself.
+        unit[:, diagonal, diagonal] -= extra * gain
         out = np.stack([unit * level[k] for k in classes])
         out[:, :, diagonal, diagonal] += (noise + extra) * gain
         return np.asarray(out + lines)
@@ -181,16 +180,14 @@ class AmbientPosterior(Posterior):
 
     def _slopes_by_system(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
         """Differentiate the linearized spectra of the middle class by coordinates that change the system, see `_systemic`."""
-        band, middle, owners, layout = self.observed.band, self.n_classes // 2, self.owners(effects), self.layout
+        band, middle, owners = self.observed.band, self.n_classes // 2, self.owners(effects)
         everything, condition = self.effects(x, effects), self.conditions[middle]
         has_lines = any(e.lines() for e in everything)
         context, bare = self.context_at(x), self.system(x, everything)
         modes = [mode for e in everything for mode in e.extra_modes(context)]
 
-        def numbers(x: Array) -> Array:
-            found = [
-                m for e in self.effects(x, with_coordinates(effects, x[layout.effects])) for m in e.extra_modes(context)
-            ]
+        def numbers(everything: Sequence[Effect]) -> Array:
+            found = [mode for e in everything for mode in e.extra_modes(context)]
             return np.array([[m.frequency_hz, m.damping_ratio, *m.shape] for m in found])
 
         def at(
@@ -207,7 +204,7 @@ class AmbientPosterior(Posterior):
         basis = None
         if system is bare and not has_lines:
             basis, exact = self._exact_changes(x, everything, bare)
-        unmoved, forces = [np.zeros_like(part) for part in here], range(x.size)[layout.forces]
+        unmoved, forces = [np.zeros_like(part) for part in here], range(x.size)[self.layout.forces]
         still = extra_mode_changes(modes, np.zeros((len(modes), 2 + len(context.channels))))
 
         def moved(i: int) -> tuple[Array, ...]:
@@ -218,9 +215,12 @@ class AmbientPosterior(Posterior):
             if i in owners:
                 first = min(j for j, owner in owners.items() if owner == owners[i])
                 one = everything[owners[i]]
-                with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
+                own = slice(first, first + len(one.parameters))
+                with_one[owners[i]] = one.at(moved_x[own])
                 if one.extra_modes(context):
-                    of_modes = extra_mode_changes(modes, (numbers(moved_x) - numbers(2.0 * x - moved_x)) / (2.0 * h))
+                    back = list(everything)
+                    back[owners[i]] = one.at((2.0 * x - moved_x)[own])
+                    of_modes = extra_mode_changes(modes, (numbers(with_one) - numbers(back)) / (2.0 * h))
                     return (*unmoved[:-1], of_modes, unmoved[-1])
             if i in forces or (i in owners and everything[owners[i]].keeps_structure):
                 _, there = at(moved_x, bare, context, with_one)
