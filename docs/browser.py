@@ -29,7 +29,7 @@ class Page:
 
     def __init__(self, to_browser: int, from_browser: int) -> None:
         self._write, self._read = to_browser, from_browser
-        self._rest, self._count, self._session = b"", 0, ""
+        self._rest, self._count, self._session, self._loaded = b"", 0, "", False
         self.errors: list[str] = []
         """Exceptions and what the console was told as an error."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
@@ -53,6 +53,17 @@ class Page:
                     raise RuntimeError(f"{method}: {answer['error']['message']}")
                 return dict(answer["result"])
             self._note(answer)
+
+    def show(self, address: str, seconds: float) -> None:
+        """Load what an address holds and let it go on; before it has loaded, a busy machine cannot print it."""
+        self._loaded = False
+        self.call("Page.navigate", url=address)
+        until = time.monotonic() + 60.0
+        while not self._loaded:
+            if (event := self._message(until - time.monotonic())) is None:
+                raise TimeoutError(f"{address}: not loaded within a minute")
+            self._note(event)
+        self.wait(seconds)
 
     def wait(self, seconds: float) -> None:
         """Let the page go on."""
@@ -83,6 +94,7 @@ class Page:
 
     def _note(self, event: dict[str, Any]) -> None:
         kind, params = event.get("method"), event.get("params", {})
+        self._loaded = self._loaded or kind == "Page.loadEventFired"
         if kind == "Runtime.exceptionThrown":
             self.errors.append(params["exceptionDetails"].get("exception", {}).get("description", "exception"))
         elif kind == "Runtime.consoleAPICalled" and params["type"] == "error":
@@ -128,8 +140,7 @@ def main() -> None:
     place, picture = sys.argv[1], Path(sys.argv[2])
     address = place if "://" in place else Path(place).resolve().as_uri()
     with browser(*((1600, 1000) if "://" in place else (1140, 1000))) as page:
-        page.call("Page.navigate", url=address)
-        page.wait(float(sys.argv[3]) if len(sys.argv) > 3 else 2.0)
+        page.show(address, float(sys.argv[3]) if len(sys.argv) > 3 else 2.0)
         height = int(page.value("document.documentElement.scrollHeight"))
         size = {"width": 1140, "height": max(height, 600), "deviceScaleFactor": 1, "mobile": False}
         if "://" not in place:  # a document: all of it

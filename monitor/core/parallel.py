@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import signal
 import threading
@@ -44,6 +45,7 @@ def parallel_map(function: Callable[[_Item], _Result], items: Iterable[_Item]) -
         return [function(item) for item in items]
     before, shares = set(active_children()), min(_SHARES * cores, len(items))
     workers = ProcessPoolExecutor(cores, get_context("fork"), _begin, (function, items, os.getpid()))
+    gc.freeze()  # a child collects nothing of its parent: the end of a lost Zenoh session waits for threads that no child has
     try:
         # Not by `map`: on a failure it cancels the waiting work, and the pool then reports an error of its own.
         futures = [workers.submit(_compute_share, range(i, len(items), shares)) for i in range(shares)]
@@ -56,6 +58,7 @@ def parallel_map(function: Callable[[_Item], _Result], items: Iterable[_Item]) -
             raise NoResourcesError(f"a process of the computation could not be made or was killed: {error}") from error
         raise
     finally:
+        gc.unfreeze()
         workers.shutdown()
 
 

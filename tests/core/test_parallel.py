@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -114,6 +115,27 @@ def test_work_that_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     with pytest.raises(NoResourcesError, match="killed"):
         parallel_map(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2))
+
+
+@pytest.mark.skipif(CORES < 2, reason="one core")
+def test_no_child_collects_what_its_parent_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a closed session of Zenoh, whose end waits for threads of the parent."""
+
+    class Left:
+        def __init__(self) -> None:
+            self.itself, self.pid = self, os.getpid()
+
+        def __del__(self) -> None:
+            if os.getpid() != self.pid:
+                os._exit(1)
+
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    gc.disable()
+    try:
+        Left()
+        assert parallel_map(lambda _: gc.collect() < 0, range(2)) == [False, False]
+    finally:
+        gc.enable()
 
 
 @pytest.mark.skipif(CORES < 2, reason="one core")

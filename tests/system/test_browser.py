@@ -93,8 +93,7 @@ def test_a_report_is_read_on_a_telephone_without_scrolling_sideways(
 
 def test_times_beside_a_shortened_gap_do_not_overlap_and_log_axes_have_ticks(tmp_path: Path, page: Any) -> None:
     write_period_report(tmp_path)
-    page.call("Page.navigate", url=(tmp_path / "r.html").as_uri())
-    page.wait(1.0)
+    page.show((tmp_path / "r.html").as_uri(), 1.0)
     for end, begin in ((0.37, 0.43), (0.64, 0.7), (0.5, 0.56)):
         stretches = f"[[0, 40000, 0, {end}], [2600000, 2640000, {begin}, 1]]"
         places = np.array(page.value(f"timeTicks({stretches}, 270).map(t => 270 * t[0])"))
@@ -111,8 +110,7 @@ def test_times_beside_a_shortened_gap_do_not_overlap_and_log_axes_have_ticks(tmp
 def test_paper_shows_the_charts_and_no_controls(tmp_path: Path, page: Any) -> None:
     write_period_report(tmp_path)
     page.call("Emulation.setDeviceMetricsOverride", width=1280, height=800, deviceScaleFactor=1, mobile=False)
-    page.call("Page.navigate", url=(tmp_path / "r.html").as_uri())
-    page.wait(1.0)
+    page.show((tmp_path / "r.html").as_uri(), 1.0)
     printed = base64.b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
     assert 1 < printed.count(b"/Type /Page\n") < 9 and len(printed) > 30_000
     page.value("dispatchEvent(new Event('beforeprint'))")
