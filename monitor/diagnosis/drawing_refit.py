@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from monitor.core import Array
+from monitor.diagnosis.constancy import LinearFit
 from monitor.diagnosis.lack_of_fit import find_other_structure
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.model import interval
@@ -32,7 +33,8 @@ def refit(diagnosis: Diagnosis, tolerance: Annotated[Array, "p+n"], story_names:
     both = np.r_[layout.stiffness, layout.masses]
     drawn = np.exp(diagnosis.posterior.prior.mean[both])
     ratio = np.exp(fit.x[both]) / drawn
-    std = np.sqrt(np.maximum(np.diag(fit.covariance)[both], 0.0)) * ratio
+    linear = LinearFit.of(diagnosis.posterior, fit)
+    std = np.array([linear.common_size(j).std for j in both]) * ratio
     p = len(story_names)
     rows = []
     for j, (value, factor, error, limit) in enumerate(zip(drawn, ratio, std, tolerance, strict=True)):

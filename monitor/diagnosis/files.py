@@ -51,7 +51,7 @@ def content(
         "alternatives": alternatives,
         "family": family,
         "family_log_odds": None if family is None else _finite(_family_log_odds(diagnosis, family)),
-        "also_fitted": [_described(c, prior) for c in diagnosis.also_fitted],
+        "also_fitted": [{**_described(c, prior), "doubt": c.doubt} for c in diagnosis.also_fitted],
         "separating_measurement": wording.separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": {

@@ -117,7 +117,9 @@ def as_seen(
     steps = np.diag(_RELATIVE_STEP * effect.units)
     moved = [seen(effect.at(effect.coordinates + step)).coordinates - here.coordinates for step in steps]
     slopes = np.array(moved) / steps.sum(axis=1)[:, None]
-    covariance = slopes.T @ fit.covariance[these, these] @ slopes
+    own = fit.covariance[these, these]
+    slopes *= (std / np.sqrt(np.diag(own)))[:, None]
+    covariance = slopes.T @ own @ slopes
     return here, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 

@@ -19,11 +19,13 @@ DIFFERS_STDS = 3.0
 
 
 def coordinate_std(
-    posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "coordinates"]
+    posterior: Posterior,
+    fit: MapEstimate,
+    fit_std: Annotated[Array, "coordinates"],
+    simulation_std: Annotated[Array, "coordinates"],
 ) -> list[Annotated[Array, "p"]]:
-    """Compute the standard deviations of each effect's coordinates; `simulation_std` are by the simulations' random error."""
+    """Compute the standard deviations of each effect's coordinates from those by the fit and by the simulations' chance."""
     fitted, ends = summarize_fit(posterior, fit), np.cumsum([len(e.parameters) for e in fit.effects])[:-1]
-    fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
     own = zip(fit.effects, np.split(fit_std, ends), np.split(simulation_std, ends), strict=False)
     return [np.hypot(std, np.hypot(by_chance, effect.form_std_in(fitted))) for effect, std, by_chance in own]
 
@@ -33,12 +35,18 @@ def is_significant(effect: Effect, deviation: Annotated[Array, "p"]) -> bool:
 
     Of several sizes, as the components of a mode's shape, one is enough.  `deviation` is that of the coordinates.
     """
-    significant = [
-        abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std
-        for p, x, std in zip(effect.parameters, effect.coordinates, deviation, strict=True)
-        if p.absent is not None
-    ]
+    found = zip(sizes(effect), deviation, strict=True)
+    significant = [abs(size) >= _SIGNIFICANT_SIZE_STDS * std for size, std in found if size is not None]
     return any(significant) or not significant
+
+
+def sizes(effect: Effect) -> list[float | None]:
+    """Return the distance of every coordinate from that of no effect; None of those that no effect may have too."""
+    absent = [
+        None if p.absent is None else p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0
+        for p in effect.parameters
+    ]
+    return [None if none is None else float(x - none) for x, none in zip(effect.coordinates, absent, strict=True)]
 
 
 def summarize_fit(posterior: Posterior, fit: MapEstimate) -> FittedModel:

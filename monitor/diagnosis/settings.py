@@ -33,5 +33,7 @@ class DiagnosisSettings(Settings):
     """Share of the misfit, in nats, that a cause must explain where no ground was measured: other parameters may imitate less."""
     remainder: float = Field(default=0.03, ge=0, lt=1)
     """Share of the squared misfit that a nonlinear cause may leave."""
+    false_rate: float = Field(default=0.01, gt=0, lt=1)
+    """Chance, for all candidates of a diagnosis together, that one is stated on whose size ranges of frequency do not agree."""
     misfit: float = Field(default=6.0, gt=0)
     """Standard deviations from which the remaining difference in a band is a misfit."""

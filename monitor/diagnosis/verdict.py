@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Self
 
@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.backbone import find_level_dependence, find_ratio_change
 from monitor.diagnosis.backward_elimination import fit_subset
+from monitor.diagnosis.constancy import LinearFit
 from monitor.diagnosis.lack_of_fit import (
     LackOfFit,
     find_changed_effects,
@@ -22,7 +23,7 @@ from monitor.diagnosis.lack_of_fit import (
     wrong_bins,
 )
 from monitor.diagnosis.missing_modes import as_seen, is_credible, is_stated
-from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
+from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant, sizes
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_with
 from monitor.diagnosis.settings import DiagnosisSettings
@@ -31,6 +32,9 @@ from monitor.inference import MapEstimate, Posterior, maximize_posterior, tried
 from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
+Doubt = Literal["", "no news", "not constant", "contradicted"]
+"""Of a fitted effect: it cannot be told from modes that were missing at calibration, ranges of frequency disagree on its size, or
+a sensor that entered no fit sees that it is not so."""
 Alternatives = tuple[tuple[Candidate, float], ...]
 """Candidates that cannot be told apart, with their probabilities."""
 
@@ -41,12 +45,14 @@ class Cause:
 
     effect: Effect
     std: dict[str, float]
+    doubt: Doubt = ""
+    """Why the effect is fitted and not stated; empty where it is stated."""
 
     @classmethod
-    def of(cls, effect: Effect, deviation: Annotated[Array, "p"]) -> Self:
+    def of(cls, effect: Effect, deviation: Annotated[Array, "p"], doubt: Doubt = "") -> Self:
         """Make a cause of an effect and the standard deviations of its coordinates."""
         values, own = effect.values(), zip(effect.parameters, deviation.tolist(), strict=True)
-        return cls(effect, {p.name: min(std * p.slope(values[p.name]), 1e300) for p, std in own})
+        return cls(effect, {p.name: min(std * p.slope(values[p.name]), 1e300) for p, std in own}, doubt)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,7 +102,7 @@ class Diagnosis:
     other_optima: tuple[MapEstimate, ...] = field(default=())
     """Fits of other stiffnesses that explain the recording as well."""
     also_fitted: tuple[Cause, ...] = field(default=())
-    """Effects of the final fit that are no causes, as they cannot be told from modes that were missing at calibration."""
+    """Effects of the final fit that are not stated, each with the doubt."""
     simulation_std: Array = field(default_factory=lambda: np.zeros(0))
     """As `FittedCauses.simulation_std`, of the final fit's effects."""
 
@@ -105,6 +111,15 @@ class Diagnosis:
         withdrawn = replace(self, causes=(), also_fitted=(), alternatives=())
         return replace(withdrawn, left_over=left_over, final_fit=self.null_fit)
 
+    def contradicted(self, names: Collection[str]) -> Diagnosis:
+        """Take the causes of these names, which a sensor that entered no fit contradicts, out of what is stated."""
+        against = tuple(replace(c, doubt="contradicted") for c in self.causes if c.effect.name in names)
+        if not against:
+            return self
+        causes = tuple(c for c in self.causes if c.effect.name not in names)
+        verdict = "unexplained" if self.verdict == "named" else self.verdict
+        return replace(self, verdict=verdict, causes=causes, also_fitted=(*self.also_fitted, *against))
+
     def without_last_cause(self) -> Diagnosis:
         """Withdraw the cause that was found last, or the alternatives of an ambiguous answer, and judge the others anew."""
         found = FittedCauses(
@@ -112,7 +127,7 @@ class Diagnosis:
         )
         n_kept = found.n_accepted - (not self.alternatives)
         found = found.keep([i < n_kept for i in range(len(self.final_fit.effects))])
-        judged = judge(found, self.null_fit, (), self.settings)
+        judged = judge(found, self.null_fit, (), self.settings, n_fitted=n_fitted(self.rounds))
         return replace(judged, candidates=self.candidates, rounds=self.rounds, other_optima=self.other_optima)
 
 
@@ -122,9 +137,10 @@ def judge(
     alternatives: Alternatives,
     settings: DiagnosisSettings,
     *,
+    n_fitted: int,
     from_elsewhere: bool = False,
 ) -> Diagnosis:
-    """Judge the causes that a search ended with: which are stated, and what they leave over.
+    """Judge the causes that a search of `n_fitted` candidates ended with: which are stated, and what they leave over.
 
     The first of the alternatives, candidates of the last round that cannot be told apart, is in the fit.  Where the search ended
     because the forces act in another direction than at calibration, they come `from_elsewhere`.
@@ -138,10 +154,14 @@ def judge(
     found = found.keep(plausible)
     misfit, left_over = find_lack_of_fit(found.posterior, null_fit, settings), _left_over(found, settings)
     share = unexplained_share(found.posterior, found.fit, null_fit, misfit, left_over)
-    stated = [
-        e for i, e in enumerate(found.fit.effects[: found.n_accepted]) if is_stated(found.posterior, found.fit, i)
-    ]
+    chance = settings.false_rate / n_fitted
+    everything = describe_effects(found, chance)
+    if any(cause.doubt == "not constant" for cause in everything[found.n_accepted :]):  # so are its rivals
+        found, alternatives = replace(found, n_accepted=len(everything)), ()
+    stated = [cause.effect for cause in everything[: found.n_accepted] if not cause.doubt]
     verdict = _verdict(share, left_over, stated, bool(alternatives), settings)
+    if verdict in ("none", "named") and any(cause.doubt == "not constant" for cause in everything):
+        verdict = "unexplained"
     if verdict == "unexplained":
         found = _keep_confirmed_elsewhere(found, settings)
         left_over = _left_over(found, settings)
@@ -154,11 +174,11 @@ def judge(
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
     still = find_level_dependence(posterior, fit)
-    causes, also_fitted = stated_causes(found)
+    accepted = describe_effects(found, chance)[: found.n_accepted]
     return Diagnosis(
         verdict=verdict,
-        causes=causes,
-        also_fitted=also_fitted,
+        causes=tuple(cause for cause in accepted if not cause.doubt),
+        also_fitted=tuple(cause for cause in accepted if cause.doubt),
         alternatives=alternatives,
         misfit=(*[m for m in findings if m is not None], *misfit),
         left_over=left_over if still is None else (*left_over, still),
@@ -186,9 +206,10 @@ def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCau
         return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
     near, fit = refined
     # With a better size of the law another cause may be no longer significant.
+    fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[near.layout.effects], 0.0))
     kept = [
         is_significant(e, std)
-        for e, std in zip(fit.effects, coordinate_std(near, fit, near.simulation_std), strict=True)
+        for e, std in zip(fit.effects, coordinate_std(near, fit, fit_std, near.simulation_std), strict=True)
     ]
     found = FittedCauses(near, fit, n_accepted, near.simulation_std)
     return found.keep(kept) if any(kept) else found
@@ -251,11 +272,27 @@ def has_nonlinear(fit: MapEstimate) -> bool:
     return any(e.nonlinear for e in fit.effects)
 
 
-def stated_causes(found: FittedCauses) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
-    """List the accepted effects with the standard deviations of their parameters: those that are stated, then the others."""
+def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
+    """Describe all fitted effects with the standard deviations of their parameters, and say why one is not to be stated.
+
+    An effect needs a size that ranges of frequency agree on: that it is none has at most the probability `chance`.
+    """
     posterior, fit = found.posterior, found.fit
-    std = coordinate_std(posterior, fit, found.simulation_std)
-    causes: tuple[list[Cause], list[Cause]] = [], []
-    for i in range(found.n_accepted):
-        causes[not is_stated(posterior, fit, i)].append(Cause.of(*as_seen(posterior, fit, i, std[i])))
-    return tuple(causes[0]), tuple(causes[1])
+    if not fit.effects:
+        return ()
+    linear, these = LinearFit.of(posterior, fit), range(fit.x.size)[posterior.layout.effects]
+    common = {j: linear.common_size(j) for j in these}
+    fit_std = np.array([common[j].std for j in these])
+    causes = []
+    for i, std in enumerate(coordinate_std(posterior, fit, fit_std, found.simulation_std)):
+        own = zip(range(fit.x.size)[fit.coordinates_of(i)], sizes(fit.effects[i]), strict=True)
+        chances = [common[j].chance_of_none(size) for j, size in own if size is not None]
+        constant = not chances or min(chances) <= chance
+        doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "" if constant else "not constant"
+        causes.append(Cause.of(*as_seen(posterior, fit, i, std), doubt))
+    return tuple(causes)
+
+
+def n_fitted(rounds: Sequence[Sequence[Candidate]]) -> int:
+    """Count the candidates of all rounds of a search, at least one."""
+    return max(1, len({(c.effect.name, c.effect.location) for candidates in rounds for c in candidates}))

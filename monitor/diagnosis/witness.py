@@ -78,6 +78,8 @@ class Witness:
     """None where the model claims nothing that the sensor could see."""
     says: str
     modes: tuple[WitnessedMode, ...] = ()
+    against: tuple[str, ...] = ()
+    """Names of the effects of the model that it contradicts."""
 
     @classmethod
     def silent(cls, sensor: WitnessSensor, why: str) -> Self:
@@ -163,7 +165,9 @@ class _Comparison:
         scales = [max(c or 0.0, abs(m.predicted or 0.0)) or 1.0 for m, c in zip(measured, chord, strict=True)]
         best = int(np.argmin([m.std / scale for m, scale in zip(measured, scales, strict=True)]))
         verdict, words = _judge_rotation(sensor, measured[best], chord[best])
-        return Witness(sensor, verdict, words, tuple(measured))
+        turning = verdict == "contradicts" and measured[best].predicted != measured[best].predicted_before
+        against = tuple(e.name for e in self.extended.effects if turning and e.column_to_girder)
+        return Witness(sensor, verdict, words, tuple(measured), against)
 
     def _reference(self, sensor: WitnessSensor, k: int) -> tuple[Annotated[Array, "c"], float, float | None]:
         """Choose the motion over which the rotation in mode k is stated.

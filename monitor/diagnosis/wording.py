@@ -10,13 +10,18 @@ import numpy as np
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.drawing_refit import refit_headline
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.diagnosis.verdict import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis, Doubt
 from monitor.inference import Segments
 from monitor.model import FORMS, FittedSizes, LawFamily, ModelDiscrepancy, ParameterEstimates, StructuralPrior
 
 _MAX_RIVALS = 2
 """Rival causes that the headline states in full where there are more than one beyond them. [count; judgement]"""
 _PLURALS = {"story": "stories", "floor": "floors", "channel": "channels"}
+_DOUBTS: dict[Doubt, str] = {
+    "no news": "no news beside modes that the model lacks or that calibration did not see",
+    "not constant": "not to be relied on, for ranges of frequency do not agree on it",
+    "contradicted": "not to be relied on, for a sensor that entered no fit contradicts it",
+}
 _FAMILIES: dict[LawFamily, str] = {
     "hardening": "hardens with the level",
     "softening": "softens with the level",
@@ -199,11 +204,12 @@ def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralP
 
 
 def _also_fitted_in_words(content: Mapping[str, Any], reference: StructuralPrior) -> str:
-    """State what was fitted beside the causes and why it is none; empty where there is nothing."""
-    if not content["also_fitted"]:
-        return ""
-    said = _causes_in_words(content["also_fitted"], reference)
-    return _sentence(f"also fitted, no news beside modes that the model lacks or that calibration did not see: {said}")
+    """State what was fitted beside the causes and why it is not stated; empty where there is nothing."""
+    doubted = ((why, [c for c in content["also_fitted"] if c["doubt"] == doubt]) for doubt, why in _DOUBTS.items())
+    said = [
+        _sentence(f"also fitted, {why}: {_causes_in_words(causes, reference)}") for why, causes in doubted if causes
+    ]
+    return " ".join(said)
 
 
 def _limits_of_gain(gain: HeldOutGain) -> str:

@@ -128,6 +128,12 @@ def diagnose_gathered(
     on_progress(Step("puts the finding into words"))
     updated, extended = (fitted_model(confirmed.posterior, fit) for fit in (confirmed.null_fit, confirmed.final_fit))
     extended = updated if confirmed.verdict == "none" else extended
+    compared = []
+    if record is not None:
+        posterior = confirmed.posterior
+        context, condition = posterior.context, posterior.conditions[0]
+        compared = compare_witnesses(record, _witnesses(config), updated, extended, context, condition)
+    confirmed = confirmed.contradicted({name for witness in compared for name in witness.against})
     degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
@@ -140,11 +146,6 @@ def diagnose_gathered(
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima, laws)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *level_doubts(segments, baseline, confirmed)]}
-    compared = []
-    if record is not None:
-        posterior = confirmed.posterior
-        context, condition = posterior.context, posterior.conditions[0]
-        compared = compare_witnesses(record, _witnesses(config), updated, extended, context, condition)
     plain |= {"witness": [witness.to_plain() for witness in compared]}
     plain["says"] += contradictions(compared)
     plain = name_stories_in(plain, config.story_names)

@@ -87,7 +87,7 @@ def test_joints_that_turn_as_named_are_confirmed_in_every_mode(ground: bool) -> 
 
 def test_joints_that_turn_ten_times_less_contradict_what_is_named() -> None:
     (told,) = judge(shaken(0.1, 0.1), GYRO)
-    assert told.verdict == "contradicts"
+    assert told.verdict == "contradicts" and told.against == ("joint_flexibility",)
     assert told.modes[0].ratio == pytest.approx(0.1 * (told.modes[0].predicted or 0.0), rel=0.2)
     said = contradictions([replace(told, verdict="agrees"), told, told])
     assert said == f" A sensor that entered no fit contradicts this: {told.says} (and 1 more)."

@@ -110,7 +110,7 @@ def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tm
     text = parsed(tmp_path / "page.html").words
     (own,) = case.content["also_fitted"]
     assert case.content["causes"] == [] and own["effect"] == "added_mass" and own["says"] in case.content["says"]
-    assert "Also fitted, no news" in text and "nats a sample" not in text
+    assert "Also fitted, not stated" in text and "nats a sample" not in text
 
 
 def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases: dict[str, Case]) -> None:

@@ -282,7 +282,11 @@ def _parameters(sheet: Sheet, diagnosis: Diagnosis, content: Content, hz: Array)
     if refitted:
         sheet.section("What was refitted against the drawing")
         sheet.table(["place", "parameter", "#drawn", "refitted", "#tolerance", "in words"], refitted)
-    lists = (("Causes", "causes"), ("Also fitted, no news", "also_fitted"), ("Already so at calibration", "standing"))
+    lists = (
+        ("Causes", "causes"),
+        ("Also fitted, not stated", "also_fitted"),
+        ("Already so at calibration", "standing"),
+    )
     for title, key in lists:
         _causes(sheet, title, content[key], diagnosis)
     if content["standing_misfit"] is not None:
