@@ -25,7 +25,7 @@ _RANGES = 6
 """Ranges of frequency that are compared. [count; judgement: twelve are no better, docs/decisions/0100]"""
 _DISAGREE = 0.05
 """Chance of the scatter between ranges, where they say the same, from which they disagree. [chance; convention: 5 %]"""
-_NOTHING = 1e-6
+_NO_SPREAD = 1e-6
 """Share of the largest eigenvalue below which a direction has no information. [ratio; numerical]"""
 
 
@@ -98,7 +98,7 @@ class LinearFit:
         spread = np.diag([part[:, j] @ part[:, j] for part in parts]) - own @ self.covariance @ own.T
         values, vectors = np.linalg.eigh(spread)
         z, variance = vectors.T @ score, max(self.covariance[j, j], 0.0)
-        known = values > _NOTHING * np.diag(spread).max()  # a deviation of all ranges alike is none
+        known = values > _NO_SPREAD * np.diag(spread).max()  # a deviation of all ranges alike is none
         statistic, rank = float((z[known] ** 2 / values[known]).sum()), int(known.sum())
         if not rank or chdtrc(rank, statistic) > _DISAGREE:
             return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), statistic, rank)

@@ -291,7 +291,8 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     return _hiding_structure(
         "direction of the forces",
         size / FORCE_STD,
-        f"the forces come from another direction than at calibration ({says}), and modes that the model lacks follow them",
+        f"the forces are shared out otherwise than at calibration ({says}): either they come from another direction, or what the "
+        "model lacks has changed",
     )
 
 

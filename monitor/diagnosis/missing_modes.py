@@ -118,7 +118,8 @@ def as_seen(
     moved = [seen(effect.at(effect.coordinates + step)).coordinates - here.coordinates for step in steps]
     slopes = np.array(moved) / steps.sum(axis=1)[:, None]
     own = fit.covariance[these, these]
-    slopes *= (std / np.sqrt(np.diag(own)))[:, None]
+    alone = np.sqrt(np.diag(own))
+    slopes *= np.divide(std, alone, out=np.ones_like(alone), where=alone > 0.0)[:, None]
     covariance = slopes.T @ own @ slopes
     return here, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 

@@ -152,16 +152,29 @@ def judge(
         for i, e in enumerate(found.fit.effects)
     ]
     found = found.keep(plausible)
-    misfit, left_over = find_lack_of_fit(found.posterior, null_fit, settings), _left_over(found, settings)
-    share = unexplained_share(found.posterior, found.fit, null_fit, misfit, left_over)
-    chance = settings.false_rate / n_fitted
-    everything = describe_effects(found, chance)
-    if any(cause.doubt == "not constant" for cause in everything[found.n_accepted :]):  # so are its rivals
-        found, alternatives = replace(found, n_accepted=len(everything)), ()
-    stated = [cause.effect for cause in everything[: found.n_accepted] if not cause.doubt]
-    verdict = _verdict(share, left_over, stated, bool(alternatives), settings)
-    if verdict in ("none", "named") and any(cause.doubt == "not constant" for cause in everything):
-        verdict = "unexplained"
+    misfit, chance = find_lack_of_fit(found.posterior, null_fit, settings), settings.false_rate / n_fitted
+
+    def reach_verdict(found: FittedCauses) -> tuple[Verdict, tuple[LackOfFit, ...], list[bool]]:
+        left_over, effects = _left_over(found, settings), describe_effects(found, chance)
+        share = unexplained_share(found.posterior, found.fit, null_fit, misfit, left_over)
+        stated = [cause.effect for cause in effects[: found.n_accepted] if not cause.doubt]
+        ambiguous = len(effects) > found.n_accepted
+        return (
+            _verdict(share, left_over, stated, ambiguous, settings),
+            left_over,
+            [c.doubt != "not constant" for c in effects],
+        )
+
+    verdict, left_over, constant = reach_verdict(found)
+    if not all(constant):  # what ranges of frequency disagree on is needed only where something is left over without it
+        rest = found.keep(constant)
+        rest_verdict, rest_left_over, rest_constant = reach_verdict(rest)
+        if rest_verdict != "unexplained" and all(rest_constant):
+            found, verdict, left_over = rest, rest_verdict, rest_left_over
+        else:
+            verdict = "unexplained"
+    if len(found.fit.effects) == found.n_accepted:
+        alternatives = ()
     if verdict == "unexplained":
         found = _keep_confirmed_elsewhere(found, settings)
         left_over = _left_over(found, settings)
@@ -275,7 +288,8 @@ def has_nonlinear(fit: MapEstimate) -> bool:
 def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
     """Describe all fitted effects with the standard deviations of their parameters, and say why one is not to be stated.
 
-    An effect needs a size that ranges of frequency agree on: that it is none has at most the probability `chance`.
+    An effect needs a size that ranges of frequency agree on: its interval excludes none, which has at most the probability
+    `chance`.
     """
     posterior, fit = found.posterior, found.fit
     if not fit.effects:
@@ -287,7 +301,7 @@ def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
     for i, std in enumerate(coordinate_std(posterior, fit, fit_std, found.simulation_std)):
         own = zip(range(fit.x.size)[fit.coordinates_of(i)], sizes(fit.effects[i]), strict=True)
         chances = [common[j].chance_of_none(size) for j, size in own if size is not None]
-        constant = not chances or min(chances) <= chance
+        constant = not chances or (min(chances) <= chance and is_significant(fit.effects[i], std))
         doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "" if constant else "not constant"
         causes.append(Cause.of(*as_seen(posterior, fit, i, std), doubt))
     return tuple(causes)

@@ -30,7 +30,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.diagnosis.verdict import Cause, FittedCauses, stated_causes
+from monitor.diagnosis.verdict import Cause, FittedCauses, describe_effects
 from monitor.inference import Segments, classify, gather
 from monitor.model import EFFECTS, Effect, StructuralPrior, simulate
 from monitor.runs import cut_into_blocks, diagnose
@@ -153,7 +153,7 @@ def fit_given(
     context = drawing.instrumented().context(segments.rate_hz)
     posterior, null_fit, _ = fit_initial_model(classify(segments), prior, context)
     found = fit_candidate(posterior, null_fit, effect)
-    return "given", stated_causes(FittedCauses(posterior, found.fit, 1, np.zeros(found.fit.n_effect)))[0]
+    return "given", describe_effects(FittedCauses(posterior, found.fit, 1, np.zeros(found.fit.n_effect)), 1.0)
 
 
 def diagnose_site(number: int, seed: int, kinds: tuple[str, ...], *, given: bool = False) -> Iterator[dict[str, Any]]:

@@ -84,7 +84,8 @@ def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Posterior, MapEstimate]
     problem, null = loaded
     effects = (parse_effect(MASS), parse_effect("sensor_gain:channel a1:gain=1.0001"), parse_effect(OFFSET))
     at = maximize_posterior(problem, null.x, effects)
-    own = coordinate_std(problem, at, np.array([0.0, 0.1, 0.0]))
+    alone = np.sqrt(np.diag(at.covariance)[problem.layout.effects])
+    own = coordinate_std(problem, at, alone, np.array([0.0, 0.1, 0.0]))
     kept = [is_significant(e, std) for e, std in zip(at.effects, own, strict=True)]
     assert kept == [True, False, True]
     crack = maximize_posterior(

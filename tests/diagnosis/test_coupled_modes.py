@@ -260,6 +260,6 @@ def test_the_standard_deviation_of_what_is_seen_follows_from_the_coupled_mode_s(
     own = fit.coordinates_of(0)
     covariance = np.zeros_like(fit.covariance)
     covariance[own.start, own.start] = 1e-6
-    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.zeros(12))
+    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.sqrt(np.diag(covariance)[own]))
     assert len(effect.parameters) == 5
     assert 0.0 < std[0] < 1e-3, "part of the motion of the mode that is seen is the frame's"

@@ -204,8 +204,10 @@ def refitted(
 ) -> list[dict[str, Any]]:
     """The comparison of three stiffnesses and three masses that differ from the drawing by `relative`."""
     layout = SimpleNamespace(stiffness=slice(0, 3), masses=slice(3, 6))
-    fit = SimpleNamespace(x=DRAWING.mean[:6] + np.log1p(relative), covariance=std**2 * np.eye(6))
-    posterior = SimpleNamespace(layout=layout, prior=DRAWING)
+    fit = SimpleNamespace(x=DRAWING.mean[:6] + np.log1p(relative), covariance=std**2 * np.eye(6), effects=())
+    nothing = (np.zeros((1, 6)), np.zeros(1), np.zeros(0))  # so that ranges of frequency do not disagree
+    spectra = SimpleNamespace(spectra=np.zeros((1, 1, 1, 1)))
+    posterior = SimpleNamespace(layout=layout, prior=DRAWING, predict=lambda *_: spectra, slope_rows=lambda *_: nothing)
     diagnosis: Any = SimpleNamespace(posterior=posterior, final_fit=fit, left_over=left_over)
     return refit(diagnosis, np.array(tolerance), ["story 1", "story 2", "story 3 (hanger)"])
 

@@ -103,7 +103,7 @@ def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: d
 
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
     best = cases["none"].diagnosis.candidates[0]
-    also = (stated(best.effect),)
+    also = (replace(stated(best.effect), doubt="no news"),)
     diagnosis = replace(cases["none"].diagnosis, also_fitted=also, final_fit=best.fit)
     case = Case(diagnosis, cases["none"].segments)
     write_report(tmp_path / "page.html", case.diagnosis, case.content, case.segments)

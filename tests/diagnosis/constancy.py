@@ -1,4 +1,4 @@
-"""``python -m tests.hidden.constancy N [--world W] [--seed S]``: has a cause the same size in disjoint ranges of frequency?
+"""``python -m tests.diagnosis.constancy N [--world W] [--seed S]``: has a cause the same size in disjoint ranges of frequency?
 
 A line for every cause of every trial: its size over its standard deviation by the model alone and over ranges of frequency, and
 the probability that it is none; see docs/decisions/0100 and 0101.
@@ -48,7 +48,7 @@ def of_trial(seed: int, name: str) -> list[str]:
 def main() -> None:
     """Print the lines of a world's trials."""
     parser = argparse.ArgumentParser(
-        prog="python -m tests.hidden.constancy", description="Are causes alike everywhere?"
+        prog="python -m tests.diagnosis.constancy", description="Are causes alike everywhere?"
     )
     parser.add_argument("n", type=int)
     parser.add_argument("--world", choices=worlds.WORLDS, default="outside")
