@@ -34,6 +34,6 @@ class DiagnosisSettings(Settings):
     remainder: float = Field(default=0.03, ge=0, lt=1)
     """Share of the squared misfit that a nonlinear cause may leave."""
     false_rate: float = Field(default=0.01, gt=0, lt=1)
-    """Chance, for all candidates of a diagnosis together, that one is stated on whose size ranges of frequency do not agree."""
+    """Chance, for all causes that a diagnosis seeks together, that one is stated though its size is none."""
     misfit: float = Field(default=6.0, gt=0)
     """Standard deviations from which the remaining difference in a band is a misfit."""

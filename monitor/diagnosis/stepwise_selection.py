@@ -36,7 +36,7 @@ from monitor.diagnosis.score_test import (
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_by_simulation, fit_initial_model
-from monitor.diagnosis.verdict import Alternatives, Diagnosis, is_independent_of_direction, judge, n_fitted, refine
+from monitor.diagnosis.verdict import Alternatives, Diagnosis, is_independent_of_direction, judge, refine
 from monitor.inference import (
     CorrectedPosterior,
     MapEstimate,
@@ -155,14 +155,7 @@ def diagnose(
     if fit is not search.tested:
         posterior, fit, accepted = eliminate_backward(posterior, fit, accepted, rounds, settings.margin, settings.rival)
     causes = refine(posterior, fit, len(accepted))
-    found = judge(
-        causes,
-        search.null_fit,
-        search.alternatives,
-        settings,
-        n_fitted=n_fitted(rounds),
-        from_elsewhere=search.from_elsewhere,
-    )
+    found = judge(causes, search.null_fit, search.alternatives, settings, from_elsewhere=search.from_elsewhere)
     return replace(found, candidates=rounds[0] if rounds else (), rounds=rounds, other_optima=search.other_optima)
 
 

@@ -25,7 +25,7 @@ from monitor.diagnosis.lack_of_fit import (
 from monitor.diagnosis.missing_modes import as_seen, is_credible, is_stated
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant, sizes
 from monitor.diagnosis.plan import plan_of
-from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_with
+from monitor.diagnosis.score_test import Candidate, candidate_starts, evidence_cost, fit_with, key_of
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_persistent_effects, refine_fit
 from monitor.inference import MapEstimate, Posterior, maximize_posterior, tried
@@ -127,7 +127,7 @@ class Diagnosis:
         )
         n_kept = found.n_accepted - (not self.alternatives)
         found = found.keep([i < n_kept for i in range(len(self.final_fit.effects))])
-        judged = judge(found, self.null_fit, (), self.settings, n_fitted=n_fitted(self.rounds))
+        judged = judge(found, self.null_fit, (), self.settings)
         return replace(judged, candidates=self.candidates, rounds=self.rounds, other_optima=self.other_optima)
 
 
@@ -137,10 +137,9 @@ def judge(
     alternatives: Alternatives,
     settings: DiagnosisSettings,
     *,
-    n_fitted: int,
     from_elsewhere: bool = False,
 ) -> Diagnosis:
-    """Judge the causes that a search of `n_fitted` candidates ended with: which are stated, and what they leave over.
+    """Judge the causes that a search ended with: which are stated, and what they leave over.
 
     The first of the alternatives, candidates of the last round that cannot be told apart, is in the fit.  Where the search ended
     because the forces act in another direction than at calibration, they come `from_elsewhere`.
@@ -152,7 +151,9 @@ def judge(
         for i, e in enumerate(found.fit.effects)
     ]
     found = found.keep(plausible)
-    misfit, chance = find_lack_of_fit(found.posterior, null_fit, settings), settings.false_rate / n_fitted
+    misfit = find_lack_of_fit(found.posterior, null_fit, settings)
+    sought = {key_of(effect) for effect in candidate_starts(found.posterior, null_fit)}
+    chance = settings.false_rate / max(1, len(sought))
 
     def reach_verdict(found: FittedCauses) -> tuple[Verdict, tuple[LackOfFit, ...], list[bool]]:
         left_over, effects = _left_over(found, settings), describe_effects(found, chance)
@@ -305,8 +306,3 @@ def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
         doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "" if constant else "not constant"
         causes.append(Cause.of(*as_seen(posterior, fit, i, std), doubt))
     return tuple(causes)
-
-
-def n_fitted(rounds: Sequence[Sequence[Candidate]]) -> int:
-    """Count the candidates of all rounds of a search, at least one."""
-    return max(1, len({(c.effect.name, c.effect.location) for candidates in rounds for c in candidates}))
