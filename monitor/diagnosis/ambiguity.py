@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array
+from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior
 
@@ -15,11 +16,26 @@ _SAME_PREDICTION_NATS = 1.0
 
 
 def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
-    """Select the candidates whose log odds against the best one exceed ``-rival``, nats, best first."""
+    """Select the candidates whose log odds against the best one exceed ``-rival``, nats, best first.
+
+    A clock that explains a recording as well stays, though clocks are seldom so wrong: the data do not tell it apart.
+    """
     candidates = sorted(candidates, key=lambda p: -p.candidate.log_evidence)
     if not candidates:
         return []
-    return [p for p, odds in zip(candidates, _log_odds(candidates), strict=True) if odds > -rival]
+    best = candidates[0].candidate
+    return [
+        p
+        for p, odds in zip(candidates, _log_odds(candidates), strict=True)
+        if odds > -rival or _only_prior_differs(best, p.candidate)
+    ]
+
+
+def _only_prior_differs(best: Candidate, other: Candidate) -> bool:
+    """Decide if a cause whose size has a prior gains as much as the best, so that the prior alone makes it less probable."""
+    n = len(other.effect.parameters)
+    has_prior = other.effect.size_cost(other.fit.covariance[-n:, -n:]) is not None
+    return has_prior and other.delta_log_posterior > best.delta_log_posterior - _SAME_PREDICTION_NATS
 
 
 def probabilities(tied: list[RefittedCandidate]) -> Annotated[Array, "n"]:

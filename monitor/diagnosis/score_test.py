@@ -488,15 +488,19 @@ def evidence_cost(posterior: Posterior, fit: MapEstimate, i: int = -1) -> float:
 
     A parameter of unknown order costs half the logarithm of the information (G. Schwarz, Annals of Statistics 6 (1978) 461).
     What forms a pattern, as the components of a mode's shape, costs what the data narrow its prior by (Laplace's approximation):
-    a weak mode's shape, of which the data tell little, costs little.
+    a weak mode's shape, of which the data tell little, costs little.  An effect with a prior of its size costs what it says.
     """
     i = range(len(fit.effects))[i]
+    these = fit.coordinates_of(i)
+    known_cost = fit.effects[i].size_cost(fit.covariance[these, these])
+    if known_cost is not None:
+        return known_cost
     std = fit.effects[i].pattern_std
     known = np.flatnonzero(np.isfinite(std))
     cost = parameter_cost(posterior, std.size - known.size)
     if known.size == 0:
         return cost
-    own = fit.coordinates_of(i).start + known
+    own = these.start + known
     covariance = fit.covariance[np.ix_(own, own)] / np.outer(std[known], std[known])
     variances = tried(lambda: np.linalg.eigvalsh(covariance), np.full(known.size, _LEAST_VARIANCE))
     return cost - 0.5 * float(np.log(np.clip(variances, _LEAST_VARIANCE, 1.0)).sum())

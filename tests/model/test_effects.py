@@ -14,6 +14,7 @@ from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import read_recordings
 from monitor.config import configuration
 from monitor.model.effects import parse_effect
+from monitor.model.effects.clock_rate import ClockRate
 from monitor.model.effects.joint_flexibility import JointFlexibility
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -168,3 +169,18 @@ def test_a_fit_that_ends_at_a_limit_of_what_is_possible_is_another_effect(text: 
                 coordinates = effect.coordinates
                 coordinates[i] = 2.0 * parameter.coordinate(end)
                 assert not effect.at(coordinates).is_plausible(band_hz), (parameter.name, end)
+
+
+@pytest.mark.parametrize("relative", [0.0, 5e-5, 3e-4, 6e-3, 2e-2])
+@pytest.mark.parametrize("std", [1e-5, 1e-3])
+def test_the_cost_of_a_clock_is_its_evidence_by_quadrature(relative: float, std: float) -> None:
+    """The likelihood at its best, over its mean under the prior of docs/decisions/0102."""
+    x = np.concatenate(
+        [np.linspace(-1e-3, 1e-3, 400_001), np.linspace(1e-3, 0.1, 400_001), np.linspace(-0.1, -1e-3, 400_001)]
+    )
+    x.sort()
+    prior = sum(share * np.exp(-0.5 * (x / own) ** 2) / own for share, own in ((0.99, 1e-4), (0.01, 1e-2)))
+    prior /= np.sqrt(2.0 * np.pi)
+    mean = np.trapezoid(prior * np.exp(-0.5 * ((x - relative) / std) ** 2), x)
+    cost = ClockRate("frame", relative).size_cost(np.array([[std**2]]))
+    assert cost == pytest.approx(-np.log(mean), abs=0.02) and cost >= 0.0

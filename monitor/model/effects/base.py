@@ -341,6 +341,10 @@ class Effect(ReportFace, ABC):
         """Prior standard deviation of coordinates that form a pattern; NaN for those of unknown order."""
         return np.full(len(self.parameters), np.nan)
 
+    def size_cost(self, covariance: Annotated[Array, "p p"]) -> float | None:
+        """Compute what a prior of the sizes costs in log evidence at a fit of this covariance, nats; None where there is none."""
+        return None
+
     def form_std_in(self, fitted: FittedModel) -> Annotated[Array, "p"]:
         """Return the standard deviation of the coordinates that the model's form leaves open in a fit.
 
