@@ -22,7 +22,7 @@ def diagnose(
     """
     from monitor.config import configuration
     from monitor.damage import load_baseline
-    from monitor.diagnosis import structure_text
+    from monitor.diagnosis import not_relied_on, structure_text
     from monitor.runs import diagnose as job, local_copies
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
@@ -58,6 +58,7 @@ def diagnose(
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
     lines += [f"  {100 * a['probability']:.0f} %: {a['says']}" for a in found.content["alternatives"]]
     lines += [f"refitted: {row['says']}" for row in found.content["refit"]]
+    lines += not_relied_on(found.content)
     lines += [f"witness: {item['says']}" for item in found.content["witness"] if item["verdict"]]
     lines += [f"left out: {item['says']}" for item in found.content["left_out"]]
     at_calibration = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]

@@ -35,4 +35,9 @@ from .trigger import Request as Request, WatchSettings as WatchSettings
 from .verdict import Diagnosis as Diagnosis
 from .witness import compare_witnesses as compare_witnesses, contradictions as contradictions
 from .witness_record import WitnessRecord as WitnessRecord, WitnessSensor as WitnessSensor
-from .wording import contradicted as contradicted, csd_error_in_words as csd_error_in_words, in_words as in_words
+from .wording import (
+    contradicted as contradicted,
+    csd_error_in_words as csd_error_in_words,
+    in_words as in_words,
+    not_relied_on as not_relied_on,
+)

@@ -18,9 +18,8 @@ _MAX_RIVALS = 2
 """Rival causes that the headline states in full where there are more than one beyond them. [count; judgement]"""
 _PLURALS = {"story": "stories", "floor": "floors", "channel": "channels"}
 _DOUBTS: dict[Doubt, str] = {
-    "no news": "no news beside modes that the model lacks or that calibration did not see",
-    "not constant": "not to be relied on, for ranges of frequency do not agree on it",
-    "contradicted": "not to be relied on, for a sensor that entered no fit contradicts it",
+    "not constant": "ranges of frequency do not agree on it",
+    "contradicted": "a sensor that entered no fit contradicts it",
 }
 _FAMILIES: dict[LawFamily, str] = {
     "hardening": "hardens with the level",
@@ -204,12 +203,18 @@ def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralP
 
 
 def _also_fitted_in_words(content: Mapping[str, Any], reference: StructuralPrior) -> str:
-    """State what was fitted beside the causes and why it is not stated; empty where there is nothing."""
-    doubted = ((why, [c for c in content["also_fitted"] if c["doubt"] == doubt]) for doubt, why in _DOUBTS.items())
-    said = [
-        _sentence(f"also fitted, {why}: {_causes_in_words(causes, reference)}") for why, causes in doubted if causes
-    ]
-    return " ".join(said)
+    """State what was fitted beside the causes and why it is none; empty where there is nothing."""
+    fitted = [c for c in content["also_fitted"] if c["doubt"] == "no news"]
+    if not fitted:
+        return ""
+    said = _causes_in_words(fitted, reference)
+    return _sentence(f"also fitted, no news beside modes that the model lacks or that calibration did not see: {said}")
+
+
+def not_relied_on(content: Mapping[str, Any]) -> list[str]:
+    """State what was fitted and is not to be relied on, a sentence without its full stop each, to stand below the headline."""
+    doubted = [(c["says"], _DOUBTS[c["doubt"]]) for c in content["also_fitted"] if c["doubt"] in _DOUBTS]
+    return [f"also fitted, not to be relied on, for {why}: {says}" for says, why in doubted]
 
 
 def _limits_of_gain(gain: HeldOutGain) -> str:

@@ -19,6 +19,7 @@ from monitor.diagnosis.wording import (
     headline,
     in_words,
     law_family,
+    not_relied_on,
     separating_measurement,
 )
 from monitor.model import EFFECTS, FORMS, prior_from_drawing
@@ -242,6 +243,15 @@ def test_within_the_tolerance_is_not_beyond_it_and_without_one_every_difference_
         "structure of the file", 9.0, "nothing can be said of it", is_explained=True, hides_structure=True
     )
     assert refitted(within, 0.005, (0.1,) * 6, [other]) == []
+
+
+def test_what_is_not_to_be_relied_on_stands_below_the_headline() -> None:
+    doubted = [{**LOSS, "doubt": "not constant"}, {**SWAP, "doubt": "contradicted"}]
+    assert "rely" not in said("unexplained", BASELINE, also_fitted=doubted)
+    assert not_relied_on({"also_fitted": [*doubted, {**LOSS, "doubt": "no news"}]}) == [
+        f"also fitted, not to be relied on, for ranges of frequency do not agree on it: {LOSS['says']}",
+        f"also fitted, not to be relied on, for a sensor that entered no fit contradicts it: {SWAP['says']}",
+    ]
 
 
 def test_a_clock_that_drifts_is_said_before_what_nothing_explains() -> None:

@@ -116,11 +116,11 @@ class HystereticSlip(Effect):
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
         share = fitted.sized("relative", f"{fitted.percent('relative')} of the stiffness", "a part of the stiffness")
-        force = fitted.sized("force_n", f" of {fitted.interval('force_n')}", "")
+        force = fitted.sized("force_n", f" at a force of {fitted.interval('force_n')}", "")
         subject = (
             "the joints of all stories slip" if fitted.location == "frame" else f"a joint of {fitted.location} slips"
         )
-        return f"{subject}: {share} gives way at a force{force}"
+        return f"{subject}: {share} gives way{force}"
 
 
 def linearized_element(drift: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from monitor.core import Array, name_stories
-from monitor.diagnosis import Diagnosis, StoryLaw, csd_error_in_words, in_words
+from monitor.diagnosis import Diagnosis, StoryLaw, csd_error_in_words, in_words, not_relied_on
 from monitor.inference import Segments
 from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.page.charts import Chart
@@ -289,6 +289,8 @@ def _parameters(sheet: Sheet, diagnosis: Diagnosis, content: Content, hz: Array)
     )
     for title, key in lists:
         _causes(sheet, title, content[key], diagnosis)
+    for said in not_relied_on(content):
+        sheet.text(f"{said[:1].upper()}{said[1:]}.")
     if content["standing_misfit"] is not None:
         sheet.text(f"Already so at calibration: {content['standing_misfit']['says']}.")
     for item in content["left_out"]:

@@ -1,0 +1,50 @@
+"""What is stated of the causes that a search ended with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor.core import Array
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.verdict import Diagnosis, FittedCauses, judge
+from monitor.inference import maximize_posterior
+from monitor.model import parse_effect
+from tests.diagnosis.jointed_frame import fitted, recorded
+
+pytestmark = pytest.mark.engine
+
+MASS = "added_mass:floor 1:mass_kg=0.06"
+
+
+MORE, CROSSTALK = np.array([1.0, 1.1, 1.0]), np.eye(3) + 0.15 * np.eye(3, k=-1)
+
+
+def judged(reads: Array) -> Diagnosis:
+    """A mass that is there and a gain of channel a2, fitted where the channels read the floors so."""
+    posterior, null = fitted(recorded(MASS, seed=5, reads=reads, duration_s=200.0, noise=0.05), std=0.01)
+    effects = (parse_effect(MASS), parse_effect("sensor_gain:channel a2:gain=0.95"))
+    x = np.concatenate([null.x, *(e.coordinates for e in effects)])
+    fit = maximize_posterior(posterior, x, effects)
+    return judge(FittedCauses(posterior, fit, 2, np.zeros(fit.n_effect)), null, (), DiagnosisSettings())
+
+
+def test_what_ranges_of_frequency_agree_on_is_stated() -> None:
+    found = judged(MORE)
+    assert (found.verdict, [c.effect.name for c in found.causes]) == ("named", ["added_mass", "sensor_gain"])
+    assert found.also_fitted == ()
+
+
+def test_what_they_disagree_on_is_told_beside_what_nothing_explains() -> None:
+    found = judged(CROSSTALK)
+    assert found.verdict == "unexplained"
+    assert ("sensor_gain", "not constant") in [(c.effect.name, c.doubt) for c in found.also_fitted]
+    assert "sensor_gain" not in [c.effect.name for c in found.causes]
+
+
+def test_a_sensor_that_entered_no_fit_takes_a_cause_out_of_what_is_stated() -> None:
+    found = judged(MORE)
+    against = found.contradicted({"sensor_gain"})
+    assert (against.verdict, [c.effect.name for c in against.causes]) == ("unexplained", ["added_mass"])
+    assert [c.doubt for c in against.also_fitted] == ["contradicted"]
+    assert found.contradicted({"joint_flexibility"}) is found
