@@ -12,6 +12,7 @@ A. Gelman, Bayesian Analysis 1 (2006) 515 (uniform prior of a standard deviation
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Self
 
 import numpy as np
@@ -63,7 +64,7 @@ class LinearFit:
     covariance: Annotated[Array, "p p"]
     """Inverse of the slopes' information and the prior's precision."""
     bins: Annotated[NDArray[np.intp], "rows"]
-    """Index of every row's frequency."""
+    """Index of every row's frequency, ascending."""
 
     @classmethod
     def of(cls, posterior: Posterior, fit: MapEstimate) -> Self:
@@ -74,28 +75,29 @@ class LinearFit:
         bins = np.repeat(np.tile(np.arange(n), k), c * c)
         if of_means.size:  # real and imaginary parts of every segment
             bins = np.r_[bins, np.tile(np.repeat(np.arange(n), c), of_means.size // (n * c))]
-        return cls(slopes, np.r_[residual, of_means], fit.covariance, bins)
+        order = np.argsort(bins, kind="stable")
+        return cls(slopes[order], np.r_[residual, of_means][order], fit.covariance, bins[order])
 
-    def ranges(self, j: int) -> Annotated[NDArray[np.intp], "rows"]:
-        """Number every row by one of the ranges of frequency that hold equal information about j, with all else refitted."""
+    def ranges(self, j: int) -> list[slice]:
+        """Divide the rows into ranges of frequency that hold equal information about j, with all else refitted."""
         information = (self.slopes @ self.covariance[:, j]) ** 2
         share = np.cumsum(np.bincount(self.bins, information))
         if not share[-1] > 0.0:  # the prior alone determines it
-            return np.zeros_like(self.bins)
+            return [slice(None)]
         middle = share - 0.5 * np.diff(share, prepend=0.0)
         numbers = np.minimum(_RANGES * middle / share[-1], _RANGES - 1).astype(int)
-        return np.unique(numbers, return_inverse=True)[1][self.bins]
+        ends = [0, *(np.flatnonzero(np.diff(numbers[self.bins])) + 1), self.bins.size]
+        return [slice(*pair) for pair in pairwise(ends)]
 
     def common_size(self, j: int) -> CommonSize:
         """Fit a deviation of coordinate j in every range, normal with a standard deviation that is averaged over.
 
         Where the ranges agree there is none: from six of them a deviation of zero would be told from a small one by nothing else.
         """
-        block = self.ranges(j)
-        parts = [self.slopes[block == b] for b in range(block.max() + 1)]
-        own = np.array([part[:, j] @ part for part in parts])
-        score = np.array([self.slopes[block == b, j] @ self.residual[block == b] for b in range(len(parts))])
-        spread = np.diag([part[:, j] @ part[:, j] for part in parts]) - own @ self.covariance @ own.T
+        column, ranges = self.slopes[:, j], self.ranges(j)
+        own = np.array([column[rows] @ self.slopes[rows] for rows in ranges])
+        score = np.array([column[rows] @ self.residual[rows] for rows in ranges])
+        spread = np.diag(own[:, j]) - own @ self.covariance @ own.T
         values, vectors = np.linalg.eigh(spread)
         z, variance = vectors.T @ score, max(self.covariance[j, j], 0.0)
         known = values > _NO_SPREAD * np.diag(spread).max()  # a deviation of all ranges alike is none
