@@ -155,23 +155,25 @@ def judge(
     sought = {key_of(effect) for effect in candidate_starts(found.posterior, null_fit)}
     chance = settings.false_rate / max(1, len(sought))
 
-    def reach_verdict(found: FittedCauses) -> tuple[Verdict, tuple[LackOfFit, ...], list[bool]]:
+    def reach_verdict(found: FittedCauses) -> tuple[Verdict, tuple[LackOfFit, ...], tuple[Cause, ...]]:
         left_over, effects = _left_over(found, settings), describe_effects(found, chance)
         share = unexplained_share(found.posterior, found.fit, null_fit, misfit, left_over)
         stated = [cause.effect for cause in effects[: found.n_accepted] if not cause.doubt]
         ambiguous = len(effects) > found.n_accepted
-        return (
-            _verdict(share, left_over, stated, ambiguous, settings),
-            left_over,
-            [c.doubt != "not constant" for c in effects],
-        )
+        return _verdict(share, left_over, stated, ambiguous, settings), left_over, effects
 
-    verdict, left_over, constant = reach_verdict(found)
-    if not all(constant):  # what ranges of frequency disagree on is needed only where something is left over without it
+    verdict, left_over, effects = reach_verdict(found)
+    described = found
+    constant = [cause.doubt != "not constant" for cause in effects]
+    if not all(
+        constant
+    ):  # what ranges of frequency disagree on is dropped where other causes explain the recording alone
         rest = found.keep(constant)
-        rest_verdict, rest_left_over, rest_constant = reach_verdict(rest)
-        if rest_verdict != "unexplained" and all(rest_constant):
-            found, verdict, left_over = rest, rest_verdict, rest_left_over
+        of_rest = reach_verdict(rest)
+        # That nothing is there is not said of a recording which an effect explains better.
+        if of_rest[0] in ("named", "ambiguous") and all(cause.doubt != "not constant" for cause in of_rest[2]):
+            found = described = rest
+            verdict, left_over, effects = of_rest
         else:
             verdict = "unexplained"
     if len(found.fit.effects) == found.n_accepted:
@@ -188,7 +190,7 @@ def judge(
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
     still = find_level_dependence(posterior, fit)
-    accepted = describe_effects(found, chance)[: found.n_accepted]
+    accepted = (effects if found is described else describe_effects(found, chance))[: found.n_accepted]
     return Diagnosis(
         verdict=verdict,
         causes=tuple(cause for cause in accepted if not cause.doubt),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from monitor.core import Array
+from monitor.diagnosis.constancy import CommonSize
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.verdict import Diagnosis, FittedCauses, judge
 from monitor.inference import maximize_posterior
@@ -17,16 +18,17 @@ pytestmark = pytest.mark.engine
 MASS = "added_mass:floor 1:mass_kg=0.06"
 
 
+USUAL = DiagnosisSettings()
 MORE, CROSSTALK = np.array([1.0, 1.1, 1.0]), np.eye(3) + 0.15 * np.eye(3, k=-1)
 
 
-def judged(reads: Array) -> Diagnosis:
+def judged(reads: Array, settings: DiagnosisSettings = USUAL) -> Diagnosis:
     """A mass that is there and a gain of channel a2, fitted where the channels read the floors so."""
     posterior, null = fitted(recorded(MASS, seed=5, reads=reads, duration_s=200.0, noise=0.05), std=0.01)
     effects = (parse_effect(MASS), parse_effect("sensor_gain:channel a2:gain=0.95"))
     x = np.concatenate([null.x, *(e.coordinates for e in effects)])
     fit = maximize_posterior(posterior, x, effects)
-    return judge(FittedCauses(posterior, fit, 2, np.zeros(fit.n_effect)), null, (), DiagnosisSettings())
+    return judge(FittedCauses(posterior, fit, 2, np.zeros(fit.n_effect)), null, (), settings)
 
 
 def test_what_ranges_of_frequency_agree_on_is_stated() -> None:
@@ -48,3 +50,11 @@ def test_a_sensor_that_entered_no_fit_takes_a_cause_out_of_what_is_stated() -> N
     assert (against.verdict, [c.effect.name for c in against.causes]) == ("unexplained", ["added_mass"])
     assert [c.doubt for c in against.also_fitted] == ["contradicted"]
     assert found.contradicted({"joint_flexibility"}) is found
+
+
+def test_nothing_is_not_said_of_a_recording_that_a_doubted_effect_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where bands are too coarse to show what is left over without it, its evidence still speaks."""
+    monkeypatch.setattr(CommonSize, "chance_of_none", lambda *_: 1.0)
+    found = judged(MORE, DiagnosisSettings(misfit=1e6))
+    assert (found.verdict, found.causes) == ("unexplained", ())
+    assert [c.doubt for c in found.also_fitted] == ["not constant"] * 2

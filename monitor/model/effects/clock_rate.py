@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 from typing_extensions import override
 
 from monitor.core import Array
@@ -41,11 +40,11 @@ class ClockRate(Effect):
     @override
     def size_cost(self, covariance: Array) -> float:
         variance = float(covariance[0, 0])
-        each = [
+        quartz, other = (
             np.log(share) + 0.5 * np.log(variance / total) - 0.5 * self.relative**2 / total
             for share, total in ((share, std**2 + variance) for share, std in (_QUARTZ, _OTHER))
-        ]
-        return -float(logsumexp(each))
+        )
+        return -float(np.logaddexp(quartz, other))
 
     @classmethod
     @override
