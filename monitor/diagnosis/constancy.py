@@ -1,29 +1,30 @@
-"""Do disjoint ranges of frequency say the same of a coordinate of a fit?  Its interval, and the chance that there is nothing.
+"""Do disjoint ranges of frequency, and of level, say the same of a coordinate of a fit?  Its interval, and the chance of none.
 
-A model that lacks something spends its freedom on whatever bends that way: ranges of frequency then want different sizes, which
-the fit's own covariance does not know.  Here every range may deviate from a common size (docs/decisions/0101).
+A model that lacks something spends its freedom on whatever bends that way: ranges of frequency then want different sizes, or,
+where a law of another form is missing, ranges of vibration level, which the fit's own covariance does not know.  Here every range
+may deviate from a common size (docs/decisions/0101, 0104).
 
 References
 ----------
 C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test); C. R. Henderson, Biometrics 31 (1975) 423 (mixed equations);
-A. Gelman, Bayesian Analysis 1 (2006) 515 (uniform prior of a standard deviation).
+A. Gelman, Bayesian Analysis 1 (2006) 515 (uniform prior of a standard deviation); J. A. Hausman, Econometrica 46 (1978) 1251.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr
 
-from monitor.core import Array
-from monitor.inference import MapEstimate, Posterior
+from monitor.core import Array, ComplexArray
+from monitor.inference import MapEstimate, Posterior, unpacked
+from monitor.inference.arrays import Spectra
 
 _RANGES = 6
-"""Ranges of frequency that are compared. [count; judgement: twelve are no better, docs/decisions/0100]"""
+"""Ranges of frequency, or of level, that are compared. [count; judgement: twelve are no better, docs/decisions/0100]"""
 _DISAGREE = 0.05
 """Chance of the scatter between ranges, where they say the same, from which they disagree. [chance; convention: 5 %]"""
 _NO_SPREAD = 1e-6
@@ -32,7 +33,7 @@ _NO_SPREAD = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CommonSize:
-    """Common size of a coordinate over ranges of frequency, as a mixture of normal densities."""
+    """Common size of a coordinate over ranges, as a mixture of normal densities."""
 
     weight: Annotated[Array, "n"]
     """Probability of each standard deviation between ranges."""
@@ -57,14 +58,21 @@ class CommonSize:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinearFit:
-    """Fit near its end: whitened slopes and residual, and the covariance of all coordinates."""
+    """Fit near its end, and what parts of the recording say of it.
 
-    slopes: Annotated[Array, "rows p"]
-    residual: Annotated[Array, "rows"]
+    What a part says are the products of its whitened slopes and, last, of its whitened residual, summed over its rows.
+    """
+
     covariance: Annotated[Array, "p p"]
-    """Inverse of the slopes' information and the prior's precision."""
-    bins: Annotated[NDArray[np.intp], "rows"]
-    """Index of every row's frequency, ascending."""
+    prior: Annotated[Array, "p"]
+    """Precision of every coordinate by its own prior."""
+    pull: Annotated[Array, "p"]
+    """Mean of the prior, less the fitted coordinate."""
+    frequencies: Annotated[Array, "bins p+1 p+1"]
+    levels: Annotated[Array, "levels p+1 p+1"]
+    """Classes of level, or segments in the order of their level where inputs were measured."""
+    alone: Annotated[Array, "c p+1 p+1"]
+    """What is lost without each channel."""
 
     @classmethod
     def of(cls, posterior: Posterior, fit: MapEstimate) -> Self:
@@ -72,44 +80,119 @@ class LinearFit:
         prediction = posterior.predict(fit.x, fit.effects)
         slopes, residual, of_means = posterior.slope_rows(fit.x, fit.effects, prediction)
         k, n, c = prediction.spectra.shape[:3]
-        bins = np.repeat(np.tile(np.arange(n), k), c * c)
-        if of_means.size:  # real and imaginary parts of every segment
-            bins = np.r_[bins, np.tile(np.repeat(np.arange(n), c), of_means.size // (n * c))]
-        order = np.argsort(bins, kind="stable")
-        return cls(slopes[order], np.r_[residual, of_means][order], fit.covariance, bins[order])
+        rows = np.column_stack([slopes, np.r_[residual, of_means]])
+        spectra = rows[: residual.size].reshape(k, n, c * c, -1)
+        means = rows[residual.size :].reshape(2, -1, n, c, rows.shape[1])  # real and imaginary parts of every segment
+        observed = posterior.observed
+        loud = np.argsort(observed.level, kind="stable")
+        levels = means[:, loud].swapaxes(0, 1) if of_means.size else spectra
+        mean, precision = posterior.normal_prior(fit.x, fit.effects)
+        return cls(
+            covariance=fit.covariance,
+            prior=np.diag(precision),
+            pull=mean - fit.x,
+            frequencies=products(spectra.swapaxes(0, 1)) + products(np.moveaxis(means, 2, 0)),
+            levels=products(levels),
+            alone=products_of_channels(prediction.spectra, spectra, means[0] + 1j * means[1], observed.label),
+        )
 
-    def ranges(self, j: int) -> list[slice]:
-        """Divide the rows into ranges of frequency that hold equal information about j, with all else refitted."""
-        information = (self.slopes @ self.covariance[:, j]) ** 2
-        share = np.cumsum(np.bincount(self.bins, information))
-        if not share[-1] > 0.0:  # the prior alone determines it
-            return [slice(None)]
-        middle = share - 0.5 * np.diff(share, prepend=0.0)
-        numbers = np.minimum(_RANGES * middle / share[-1], _RANGES - 1).astype(int)
-        ends = [0, *(np.flatnonzero(np.diff(numbers[self.bins])) + 1), self.bins.size]
-        return [slice(*pair) for pair in pairwise(ends)]
-
-    def common_size(self, j: int) -> CommonSize:
-        """Fit a deviation of coordinate j in every range, normal with a standard deviation that is averaged over.
-
-        Where the ranges agree there is none: from six of them a deviation of zero would be told from a small one by nothing else.
+    def common_sizes(self, j: int) -> tuple[CommonSize, ...]:
+        """Compute the size of coordinate j that is common to ranges of frequency, that of ranges of level, and that without each
+        channel.
         """
-        column, ranges = self.slopes[:, j], self.ranges(j)
-        own = np.array([column[rows] @ self.slopes[rows] for rows in ranges])
-        score = np.array([column[rows] @ self.residual[rows] for rows in ranges])
-        spread = np.diag(own[:, j]) - own @ self.covariance @ own.T
-        values, vectors = np.linalg.eigh(spread)
-        z, variance = vectors.T @ score, max(self.covariance[j, j], 0.0)
-        known = values > _NO_SPREAD * np.diag(spread).max()  # a deviation of all ranges alike is none
-        statistic, rank = float((z[known] ** 2 / values[known]).sum()), int(known.sum())
-        if not rank or chdtrc(rank, statistic) > _DISAGREE:
-            return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), statistic, rank)
-        along = vectors.T @ own @ self.covariance[:, j]
-        taus = np.sqrt(variance) * np.geomspace(1e-3, 1e4, 281)
-        precision = np.maximum(values, 0.0) + taus[:, None] ** -2
-        change, variances = -(along * z / precision).sum(axis=1), variance + (along**2 / precision).sum(axis=1)
-        values, z = values[known], z[known]
-        total = values + (taus[:, None] * values) ** 2
-        log_weight = -0.5 * (np.log(total) + z**2 / total).sum(axis=1) + np.log(taus)  # steps of the logarithm
-        weight = np.exp(log_weight - log_weight.max())
-        return CommonSize(weight / weight.sum(), change, np.sqrt(variances), statistic, rank)
+        ranges = (common_size(parts, j, self.covariance) for parts in (self.frequencies, self.levels))
+        return (*ranges, *(self._without(lost, j) for lost in self.alone))
+
+    def _without(self, lost: Annotated[Array, "p+1 p+1"], j: int) -> CommonSize:
+        """Estimate coordinate j without a channel and without its own prior, to first order (Hausman 1978).
+
+        A fault of the channel that the model lacks is not in what the others measure.  What they cannot see is left as it was.
+        """
+        size = self.covariance.shape[0]
+        refitted = np.linalg.solve(np.eye(size) - self.covariance @ lost[:-1, :-1], self.covariance)
+        precision = np.array([1.0 / refitted[j, j], 1.0 / self.covariance[j, j]]) - self.prior[j]
+        variance = self.covariance[j, j]
+        if (precision > 0.0).all() and precision[0] < precision[1]:
+            step = -refitted[j] @ lost[:-1, -1]
+            change = float((step / refitted[j, j] - self.prior[j] * self.pull[j]) / precision[0])
+            statistic = float(change**2 / (1.0 / precision[0] - 1.0 / precision[1]))
+            if chdtrc(1, statistic) < _DISAGREE / len(self.alone):
+                return CommonSize(np.ones(1), np.array([change]), precision[:1] ** -0.5, statistic, 1)
+        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), 0.0, 0)
+
+
+def products(rows: Annotated[Array, "parts ... p"]) -> Annotated[Array, "parts p p"]:
+    """Sum the products of the last axis over all axes but the first."""
+    flat = rows.reshape(len(rows), -1, rows.shape[-1])
+    return np.asarray(flat.swapaxes(1, 2) @ flat)
+
+
+def common_size(parts: Annotated[Array, "parts p+1 p+1"], j: int, covariance: Annotated[Array, "p p"]) -> CommonSize:
+    """Fit a deviation of coordinate j in every range of parts, normal with a standard deviation that is averaged over.
+
+    Where the ranges agree there is none: from six of them a deviation of zero would be told from a small one by nothing else.
+    `covariance` is that of all coordinates, the inverse of all parts' information and the prior's precision.
+    """
+    ranges = np.add.reduceat(parts[:, j], _first_of_ranges(parts[:, :-1, :-1], covariance[:, j]))
+    own, score = ranges[:, :-1], ranges[:, -1]
+    spread = np.diag(own[:, j]) - own @ covariance @ own.T
+    values, vectors = np.linalg.eigh(spread)
+    z, variance = vectors.T @ score, max(covariance[j, j], 0.0)
+    known = values > _NO_SPREAD * np.diag(spread).max()  # a deviation of all ranges alike is none
+    statistic, rank = float((z[known] ** 2 / values[known]).sum()), int(known.sum())
+    if not rank or chdtrc(rank, statistic) > _DISAGREE:
+        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), statistic, rank)
+    along = vectors.T @ own @ covariance[:, j]
+    taus = np.sqrt(variance) * np.geomspace(1e-3, 1e4, 281)
+    precision = np.maximum(values, 0.0) + taus[:, None] ** -2
+    change, variances = -(along * z / precision).sum(axis=1), variance + (along**2 / precision).sum(axis=1)
+    values, z = values[known], z[known]
+    total = values + (taus[:, None] * values) ** 2
+    log_weight = -0.5 * (np.log(total) + z**2 / total).sum(axis=1) + np.log(taus)  # steps of the logarithm
+    weight = np.exp(log_weight - log_weight.max())
+    return CommonSize(weight / weight.sum(), change, np.sqrt(variances), statistic, rank)
+
+
+def _first_of_ranges(information: Annotated[Array, "parts p p"], refitted: Annotated[Array, "p"]) -> NDArray[np.intp]:
+    """Divide parts into ranges of equal information about a coordinate with all else refitted; return the first part of each.
+
+    `refitted` says how all coordinates follow it: its column of the covariance.
+    """
+    share = np.cumsum(np.einsum("i,cij,j->c", refitted, information, refitted))
+    if not share[-1] > 0.0:  # the prior alone determines it
+        return np.zeros(1, dtype=np.intp)
+    middle = share - 0.5 * np.diff(share, prepend=0.0)
+    numbers = np.minimum(_RANGES * middle / share[-1], _RANGES - 1).astype(int)
+    return np.flatnonzero(np.diff(numbers, prepend=-1))
+
+
+def products_of_channels(
+    predicted: Spectra,
+    spectra: Annotated[Array, "classes bins c*c q"],
+    means: Annotated[ComplexArray, "segments bins c q"],
+    label: NDArray[np.intp],
+) -> Annotated[Array, "c q q"]:
+    """Compute what is lost of the sums of products without each channel.
+
+    With S = L L^H the others' whitened spectra are P Y P, where Y = L^-1 dS L^-H and P takes out the direction of L^-1 e of the
+    channel's unit vector e; their whitened means are P y.
+    """
+    c, q = predicted.shape[-1], spectra.shape[-1]
+    if c < 2:
+        return np.zeros((0, q, q))
+    directions = np.linalg.inv(np.linalg.cholesky(predicted))
+    directions /= np.linalg.norm(directions, axis=-2, keepdims=True)
+    scale = np.full(c * c, np.sqrt(0.5))
+    scale[np.arange(1, c + 1) ** 2 - 1] = 1.0  # on the diagonal
+    out = np.zeros((c, q, q))
+    for rows, of_class in zip(spectra, directions, strict=True):
+        matrices = unpacked((scale[:, None] * rows).transpose(2, 1, 0))
+        for a, direction in enumerate(np.moveaxis(of_class, -1, 0)):
+            along = np.einsum("qnij,nj->qni", matrices, direction)
+            twice = np.einsum("qni,ni->qn", along, direction.conj()).real
+            flat = along.reshape(q, -1)
+            out[a] += 2.0 * (flat @ flat.conj().T).real - twice @ twice.T
+    for a, direction in enumerate(np.moveaxis(directions[label[: len(means)]], -1, 0)):
+        flat = np.einsum("sniq,sni->qsn", means, direction.conj()).reshape(q, -1)
+        out[a] += (flat @ flat.conj().T).real
+    return out

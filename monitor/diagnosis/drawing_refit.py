@@ -34,7 +34,7 @@ def refit(diagnosis: Diagnosis, tolerance: Annotated[Array, "p+n"], story_names:
     drawn = np.exp(diagnosis.posterior.prior.mean[both])
     ratio = np.exp(fit.x[both]) / drawn
     linear = LinearFit.of(diagnosis.posterior, fit)
-    std = np.array([linear.common_size(j).std for j in both]) * ratio
+    std = np.array([max(common.std for common in linear.common_sizes(j)) for j in both]) * ratio
     p = len(story_names)
     rows = []
     for j, (value, factor, error, limit) in enumerate(zip(drawn, ratio, std, tolerance, strict=True)):

@@ -33,8 +33,8 @@ from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 Doubt = Literal["", "no news", "not constant", "contradicted"]
-"""Of a fitted effect: it cannot be told from modes that were missing at calibration, ranges of frequency disagree on its size, or
-a sensor that entered no fit sees that it is not so."""
+"""Of a fitted effect: it cannot be told from modes that were missing at calibration, ranges of frequency or of level disagree on
+its size, or a sensor that entered no fit sees that it is not so."""
 Alternatives = tuple[tuple[Candidate, float], ...]
 """Candidates that cannot be told apart, with their probabilities."""
 
@@ -165,9 +165,7 @@ def judge(
     verdict, left_over, effects = reach_verdict(found)
     described = found
     constant = [cause.doubt != "not constant" for cause in effects]
-    if not all(
-        constant
-    ):  # what ranges of frequency disagree on is dropped where other causes explain the recording alone
+    if not all(constant):  # what ranges disagree on is dropped where other causes explain the recording alone
         rest = found.keep(constant)
         of_rest = reach_verdict(rest)
         # That nothing is there is not said of a recording which an effect explains better.
@@ -291,19 +289,19 @@ def has_nonlinear(fit: MapEstimate) -> bool:
 def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
     """Describe all fitted effects with the standard deviations of their parameters, and say why one is not to be stated.
 
-    An effect needs a size that ranges of frequency agree on: its interval excludes none, which has at most the probability
-    `chance`.
+    An effect needs a size that ranges of frequency and of level agree on: its interval excludes none, which has at most the
+    probability `chance`.
     """
     posterior, fit = found.posterior, found.fit
     if not fit.effects:
         return ()
     linear, these = LinearFit.of(posterior, fit), range(fit.x.size)[posterior.layout.effects]
-    common = {j: linear.common_size(j) for j in these}
-    fit_std = np.array([common[j].std for j in these])
+    common = {j: linear.common_sizes(j) for j in these}
+    fit_std = np.array([max(one.std for one in common[j]) for j in these])
     causes = []
     for i, std in enumerate(coordinate_std(posterior, fit, fit_std, found.simulation_std)):
         own = zip(range(fit.x.size)[fit.coordinates_of(i)], sizes(fit.effects[i]), strict=True)
-        chances = [common[j].chance_of_none(size) for j, size in own if size is not None]
+        chances = [max(one.chance_of_none(size) for one in common[j]) for j, size in own if size is not None]
         constant = not chances or (min(chances) <= chance and is_significant(fit.effects[i], std))
         doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "" if constant else "not constant"
         causes.append(Cause.of(*as_seen(posterior, fit, i, std), doubt))

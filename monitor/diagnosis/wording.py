@@ -18,7 +18,7 @@ _MAX_RIVALS = 2
 """Rival causes that the headline states in full where there are more than one beyond them. [count; judgement]"""
 _PLURALS = {"story": "stories", "floor": "floors", "channel": "channels"}
 _DOUBTS: dict[Doubt, str] = {
-    "not constant": "ranges of frequency do not agree on it",
+    "not constant": "ranges of frequency or level, or other channels, disagree on it",
     "contradicted": "a sensor that entered no fit contradicts it",
 }
 _FAMILIES: dict[LawFamily, str] = {

@@ -1,7 +1,7 @@
-"""``python -m tests.diagnosis.constancy N [--world W] [--seed S]``: has a cause the same size in disjoint ranges of frequency?
+"""``python -m tests.diagnosis.constancy N [--world W] [--seed S]``: has a cause the same size in disjoint ranges?
 
-A line for every cause of every trial: its size over its standard deviation by the model alone and over ranges of frequency, and
-the probability that it is none; see docs/decisions/0100 and 0101.
+A line for every cause of every trial: its size over its standard deviation by the model alone, over ranges of frequency and
+of level, and the probability that it is none; see docs/decisions/0100, 0101 and 0104.
 """
 
 from __future__ import annotations
@@ -35,12 +35,16 @@ def of_trial(seed: int, name: str) -> list[str]:
         for j, size in enumerate(sizes(effect), start=first):
             if size is None:
                 continue
-            common, alone = fit.common_size(j), abs(size) / np.sqrt(fit.covariance[j, j])
+            alone = abs(size) / np.sqrt(fit.covariance[j, j])
+            ranges = (
+                f"{abs(size) / common.std:.1f} over {of} (Q {common.statistic:.0f} for {common.rank},"
+                f" chance of none {common.chance_of_none(size):.1e})"
+                for of, common in zip(("frequency", "level"), fit.common_sizes(j), strict=True)
+            )
             what = "true" if key in true and plan.kind != "outside" else "in kind" if key in true else "false"
             lines.append(
                 f"{seed} {name}: {effect.name} {effect.location}, {what}, {'stated' if key in stated else 'not stated'}:"
-                f" alone {alone:.1f}, ranges {abs(size) / common.std:.1f} (Q {common.statistic:.0f} for {common.rank}),"
-                f" chance of none {common.chance_of_none(size):.1e}"
+                f" alone {alone:.1f}, {', '.join(ranges)}"
             )
     return lines
 

@@ -206,9 +206,13 @@ def refitted(
     """The comparison of three stiffnesses and three masses that differ from the drawing by `relative`."""
     layout = SimpleNamespace(stiffness=slice(0, 3), masses=slice(3, 6))
     fit = SimpleNamespace(x=DRAWING.mean[:6] + np.log1p(relative), covariance=std**2 * np.eye(6), effects=())
-    nothing = (np.zeros((1, 6)), np.zeros(1), np.zeros(0))  # so that ranges of frequency do not disagree
-    spectra = SimpleNamespace(spectra=np.zeros((1, 1, 1, 1)))
-    posterior = SimpleNamespace(layout=layout, prior=DRAWING, predict=lambda *_: spectra, slope_rows=lambda *_: nothing)
+    nothing = SimpleNamespace(
+        predict=lambda *_: SimpleNamespace(spectra=np.ones((1, 1, 1, 1))),
+        slope_rows=lambda *_: (np.zeros((1, 6)), np.zeros(1), np.zeros(0)),  # so that ranges do not disagree
+        normal_prior=lambda *_: (fit.x, np.eye(6)),
+        observed=SimpleNamespace(level=np.ones(1), label=np.zeros(1, dtype=int)),
+    )
+    posterior = SimpleNamespace(layout=layout, prior=DRAWING, **vars(nothing))
     diagnosis: Any = SimpleNamespace(posterior=posterior, final_fit=fit, left_over=left_over)
     return refit(diagnosis, np.array(tolerance), ["story 1", "story 2", "story 3 (hanger)"])
 
@@ -249,7 +253,7 @@ def test_what_is_not_to_be_relied_on_stands_below_the_headline() -> None:
     doubted = [{**LOSS, "doubt": "not constant"}, {**SWAP, "doubt": "contradicted"}]
     assert "rely" not in said("unexplained", BASELINE, also_fitted=doubted)
     assert not_relied_on({"also_fitted": [*doubted, {**LOSS, "doubt": "no news"}]}) == [
-        f"also fitted, not to be relied on, for ranges of frequency do not agree on it: {LOSS['says']}",
+        f"also fitted, not to be relied on, for ranges of frequency or level, or other channels, disagree on it: {LOSS['says']}",
         f"also fitted, not to be relied on, for a sensor that entered no fit contradicts it: {SWAP['says']}",
     ]
 
