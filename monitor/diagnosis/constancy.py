@@ -17,16 +17,18 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import chdtrc, ndtr
 
 from monitor.core import Array, ComplexArray
+from monitor.diagnosis.parameter_uncertainty import is_far
 from monitor.inference import MapEstimate, Posterior, unpacked
 from monitor.inference.arrays import Spectra
 
 _RANGES = 6
 """Ranges of frequency, or of level, that are compared. [count; judgement: twelve are no better, docs/decisions/0100]"""
 _DISAGREE = 0.05
-"""Chance of the scatter between ranges, where they say the same, from which they disagree. [chance; convention: 5 %]"""
+"""Chance of the scatter between parts that say the same, from which an interval holds it. [chance; convention: 5 %]"""
 _NO_SPREAD = 1e-6
 """Share of the largest eigenvalue below which a direction has no information. [ratio; numerical]"""
 
@@ -41,19 +43,37 @@ class CommonSize:
     """Mean of the common size, less the fitted one."""
     deviation: Annotated[Array, "n"]
     """Standard deviation of the common size."""
-    statistic: float
-    """Chi-squared with `rank` degrees of freedom where all ranges say the same."""
-    rank: int
+    statistic: float = 0.0
+    """Chi-squared with `rank` degrees of freedom where all parts say the same."""
+    rank: int = 0
+    """Zero where parts cannot differ."""
 
     @property
     def std(self) -> float:
-        """Compute the root mean square distance of the common size from the fitted one."""
-        return float(np.sqrt(self.weight @ (self.deviation**2 + self.change**2)))
+        """Compute half the half width of the interval about the fitted size that holds the common one in 95.4 % of cases."""
+
+        def beyond(half_width: float) -> float:
+            ends = (np.array([[-half_width], [half_width]]) - self.change) / self.deviation
+            return float(self.weight @ (ndtr(ends[0]) + ndtr(-ends[1]))) - 2.0 * float(ndtr(-2.0))
+
+        most = float((np.abs(self.change) + 3.0 * self.deviation).max())
+        return 0.5 * float(brentq(beyond, 0.0, most, xtol=1e-9 * most)) if most > 0.0 else 0.0
 
     def chance_of_none(self, size: float) -> float:
         """Compute the probability that a size, fitted as a distance from no effect, is none or of the other sign."""
         towards = np.copysign(1.0, size) * (size + self.change)
         return float(self.weight @ ndtr(-towards / self.deviation))
+
+    def is_doubtful(self, size: float, chance: float) -> bool:
+        """Decide if a size may be none, where parts agree on it or disagree on it, but for a `chance`."""
+        if self.chance_of_none(size) <= chance and is_far(size, self.std):
+            return False
+        return self.agrees or bool(chdtrc(self.rank, self.statistic) < chance)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether parts scatter no more than by chance."""
+        return self.rank == 0 or bool(chdtrc(self.rank, self.statistic) > _DISAGREE)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -118,7 +138,7 @@ class LinearFit:
             statistic = float(change**2 / (1.0 / precision[0] - 1.0 / precision[1]))
             if chdtrc(1, statistic) < _DISAGREE / len(self.alone):
                 return CommonSize(np.ones(1), np.array([change]), precision[:1] ** -0.5, statistic, 1)
-        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), 0.0, 0)
+        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]))
 
 
 def products(rows: Annotated[Array, "parts ... p"]) -> Annotated[Array, "parts p p"]:

@@ -36,8 +36,13 @@ def is_significant(effect: Effect, deviation: Annotated[Array, "p"]) -> bool:
     Of several sizes, as the components of a mode's shape, one is enough.  `deviation` is that of the coordinates.
     """
     found = zip(sizes(effect), deviation, strict=True)
-    significant = [abs(size) >= _SIGNIFICANT_SIZE_STDS * std for size, std in found if size is not None]
+    significant = [is_far(size, std) for size, std in found if size is not None]
     return any(significant) or not significant
+
+
+def is_far(size: float, std: float) -> bool:
+    """Decide if a size differs significantly from none."""
+    return abs(size) >= _SIGNIFICANT_SIZE_STDS * std
 
 
 def sizes(effect: Effect) -> list[float | None]:

@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.backbone import find_level_dependence, find_ratio_change
 from monitor.diagnosis.backward_elimination import fit_subset
+from monitor.diagnosis.channel_at_fault import find_channel_at_fault
 from monitor.diagnosis.constancy import LinearFit
 from monitor.diagnosis.lack_of_fit import (
     LackOfFit,
@@ -181,9 +182,13 @@ def judge(
         left_over = _left_over(found, settings)
     direction = find_direction_beside_causes(found, settings) if verdict != "none" or from_elsewhere else None
     if direction is not None:
-        found = found.keep([False] * len(found.fit.effects))
-        verdict, alternatives = "unexplained", ()
+        found, verdict, alternatives = found.keep([False] * len(found.fit.effects)), "unexplained", ()
         left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
+    elif verdict == "unexplained":
+        without = found.keep([False] * len(found.fit.effects))
+        channel = find_channel_at_fault(without.posterior, without.fit, settings)
+        if channel is not None:  # causes stood in for the fault
+            found, alternatives, left_over = without, (), (channel,)
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
@@ -289,8 +294,8 @@ def has_nonlinear(fit: MapEstimate) -> bool:
 def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
     """Describe all fitted effects with the standard deviations of their parameters, and say why one is not to be stated.
 
-    An effect needs a size that ranges of frequency and of level agree on: its interval excludes none, which has at most the
-    probability `chance`.
+    An effect needs a size on which ranges of frequency and of level agree, and the other channels without each one, or which is
+    certain where they do not: by chance they disagree with the probability `chance`, and it is none with the same.
     """
     posterior, fit = found.posterior, found.fit
     if not fit.effects:
@@ -301,8 +306,8 @@ def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
     causes = []
     for i, std in enumerate(coordinate_std(posterior, fit, fit_std, found.simulation_std)):
         own = zip(range(fit.x.size)[fit.coordinates_of(i)], sizes(fit.effects[i]), strict=True)
-        chances = [max(one.chance_of_none(size) for one in common[j]) for j, size in own if size is not None]
-        constant = not chances or (min(chances) <= chance and is_significant(fit.effects[i], std))
+        doubtful = [any(one.is_doubtful(size, chance) for one in common[j]) for j, size in own if size is not None]
+        constant = not doubtful or not all(doubtful)
         doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "" if constant else "not constant"
         causes.append(Cause.of(*as_seen(posterior, fit, i, std), doubt))
     return tuple(causes)

@@ -44,6 +44,27 @@ def test_what_they_disagree_on_is_told_beside_what_nothing_explains() -> None:
     assert "sensor_gain" not in [c.effect.name for c in found.causes]
 
 
+@pytest.mark.parametrize("channel", [0, 2])
+def test_a_channel_without_which_nothing_is_left_over_is_at_fault(channel: int) -> None:
+    """It takes up a share of its neighbour's signal; a change of stiffness had stood in for that."""
+    reads = np.eye(3)
+    reads[channel, 1] = 0.15
+    posterior, null = fitted(recorded(seed=7, reads=reads, duration_s=300.0, noise=0.05), std=0.01)
+    loss = (parse_effect("stiffness_change:story 2:relative=-0.05"),)
+    fit = maximize_posterior(posterior, np.r_[null.x, loss[0].coordinates], loss)
+    found = judge(FittedCauses(posterior, fit, 1, np.zeros(1)), null, (), USUAL)
+    assert (found.verdict, found.causes, found.also_fitted) == ("unexplained", (), ())
+    assert [(m.where, m.is_explained) for m in found.left_over] == [(f"channel a{channel + 1}", True)]
+
+
+def test_no_channel_is_at_fault_where_the_structure_changed() -> None:
+    posterior, null = fitted(
+        recorded("cubic_stiffness:story 2:k3_n_per_m3=4e8", seed=7, duration_s=300.0, noise=0.05), std=0.01
+    )
+    found = judge(FittedCauses(posterior, null, 0, np.zeros(0)), null, (), USUAL)
+    assert found.verdict == "unexplained" and not any(m.is_explained for m in found.left_over)
+
+
 def test_a_sensor_that_entered_no_fit_takes_a_cause_out_of_what_is_stated() -> None:
     found = judged(MORE)
     against = found.contradicted({"sensor_gain"})
@@ -55,6 +76,6 @@ def test_a_sensor_that_entered_no_fit_takes_a_cause_out_of_what_is_stated() -> N
 def test_nothing_is_not_said_of_a_recording_that_a_doubted_effect_explains(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where bands are too coarse to show what is left over without it, its evidence still speaks."""
     monkeypatch.setattr(CommonSize, "chance_of_none", lambda *_: 1.0)
-    found = judged(MORE, DiagnosisSettings(misfit=1e6))
+    found = judged(np.ones(3), DiagnosisSettings(misfit=1e6))
     assert (found.verdict, found.causes) == ("unexplained", ())
     assert [c.doubt for c in found.also_fitted] == ["not constant"] * 2

@@ -21,6 +21,9 @@ _ABSENT = {("sensor_gain", "gain"): 1.0}
 _LEAST = {"lag_s": 600.0}
 """Sizes below which an error counts relative to this."""
 
+FAULT = "fault"
+"""Stands for the name of an effect where a channel is said to be at fault in a way that no effect has."""
+
 Key = tuple[str, str]
 
 
@@ -57,6 +60,8 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
     truth = [key(h) for h in sealed["hidden"]]
     if verdict == "crashed":
         return verdict
+    if blamed(answer) - set(truth):
+        return "wrong"
     if kind == "clean":
         return {"none": "right", "named": "wrong"}.get(verdict, verdict)
     if kind == "uncalibrated":
@@ -81,6 +86,11 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
     if found and set(found) < set(truth):
         return "part"
     return "place" if {e for e, _ in found} == {e for e, _ in truth} else "wrong"
+
+
+def blamed(answer: dict[str, Any]) -> set[Key]:
+    """The channels that are said to be at fault in a way that no effect has."""
+    return {(FAULT, where) for where, _ in answer.get("left_over", ()) if where.startswith("channel ")}
 
 
 def _ambiguous(truth: list[Key], found: list[Key], offered: set[Key], ties: frozenset[Key]) -> str:

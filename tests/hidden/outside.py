@@ -15,6 +15,7 @@ from scipy.signal import bilinear, butter, lfilter
 
 from tests.hidden import world
 from tests.hidden.frame import answer, drifts
+from tests.hidden.judge import FAULT
 from tests.hidden.plans import Outside, Plan, site_of
 from tests.hidden.truth import CHANNELS, Hidden, Site, Truth, draw_truth
 from tests.hidden.world import Act
@@ -32,7 +33,7 @@ def _of_channel(change: Callable[[Site, np.ndarray, float], np.ndarray], *near: 
             samples[:, j] = change(replace(s, rng=np.random.default_rng(seed)), samples[:, j], rate_hz)
             return samples
 
-        return tuple(Hidden(effect, f"channel {CHANNELS[j]}") for effect in near), replace(s.act, fault=fault)
+        return tuple(Hidden(effect, f"channel {CHANNELS[j]}") for effect in (FAULT, *near)), replace(s.act, fault=fault)
 
     return drawn
 
@@ -98,7 +99,7 @@ def crosstalk(s: Site) -> tuple[tuple[Hidden, ...], Act]:
         samples[:, to] += share * samples[:, by]
         return samples
 
-    return (), replace(s.act, fault=fault)
+    return (Hidden(FAULT, f"channel {CHANNELS[to]}"),), replace(s.act, fault=fault)
 
 
 def _stiffness_as(j: int, names: tuple[str, ...]) -> tuple[Hidden, ...]:

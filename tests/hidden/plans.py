@@ -12,6 +12,7 @@ from drivers.base import SampleBlock
 from tests.hidden import world
 from tests.hidden.catalogue import CATALOGUE, stiffness_change
 from tests.hidden.frame import drifts
+from tests.hidden.judge import FAULT
 from tests.hidden.truth import CHANNELS, RECORD_S, Hidden, Site, Truth, draw_truth, healthy
 from tests.hidden.world import Act
 
@@ -67,7 +68,7 @@ def run_up(s: Site) -> tuple[tuple[Hidden, ...], Act]:
 
 def swinging_gain(s: Site) -> tuple[tuple[Hidden, ...], Act]:
     j = int(s.rng.integers(3))
-    close = (Hidden("sensor_gain", f"channel {CHANNELS[j]}"),)
+    close = tuple(Hidden(effect, f"channel {CHANNELS[j]}") for effect in (FAULT, "sensor_gain"))
     return close, replace(s.act, gain_swing=s.between(0.1, 0.4) * np.eye(3)[j])
 
 
@@ -85,7 +86,7 @@ def rattle(s: Site) -> tuple[tuple[Hidden, ...], Act]:
 
 def dropouts(s: Site) -> tuple[tuple[Hidden, ...], Act]:
     j = int(s.rng.integers(3))
-    close = (Hidden("sensor_gain", f"channel {CHANNELS[j]}"),)
+    close = tuple(Hidden(effect, f"channel {CHANNELS[j]}") for effect in (FAULT, "sensor_gain"))
     return close, replace(s.act, dropouts=s.between(1.0, 6.0) * np.eye(3)[j])
 
 
