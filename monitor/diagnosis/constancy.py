@@ -29,8 +29,10 @@ _RANGES = 6
 """Ranges of frequency, or of level, that are compared. [count; judgement: twelve are no better, docs/decisions/0100]"""
 _DISAGREE = 0.05
 """Chance of the scatter between parts that say the same, from which an interval holds it. [chance; convention: 5 %]"""
+_LEAST_RANK = 3
+"""Fewest independent differences between ranges that tell a spread. [count; Gelman 2006: three groups leave it open]"""
 _NO_SPREAD = 1e-6
-"""Share of the largest eigenvalue below which a direction has no information. [ratio; numerical]"""
+"""Share of the most information below which a direction, or the other channels, have none. [ratio; numerical]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -132,7 +134,7 @@ class LinearFit:
         refitted = np.linalg.solve(np.eye(size) - self.covariance @ lost[:-1, :-1], self.covariance)
         precision = np.array([1.0 / refitted[j, j], 1.0 / self.covariance[j, j]]) - self.prior[j]
         variance = self.covariance[j, j]
-        if (precision > 0.0).all() and precision[0] < precision[1]:
+        if _NO_SPREAD * precision[1] < precision[0] < precision[1]:
             step = -refitted[j] @ lost[:-1, -1]
             change = float((step / refitted[j, j] - self.prior[j] * self.pull[j]) / precision[0])
             statistic = float(change**2 / (1.0 / precision[0] - 1.0 / precision[1]))
@@ -160,8 +162,8 @@ def common_size(parts: Annotated[Array, "parts p+1 p+1"], j: int, covariance: An
     z, variance = vectors.T @ score, max(covariance[j, j], 0.0)
     known = values > _NO_SPREAD * np.diag(spread).max()  # a deviation of all ranges alike is none
     statistic, rank = float((z[known] ** 2 / values[known]).sum()), int(known.sum())
-    if not rank or chdtrc(rank, statistic) > _DISAGREE:
-        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), statistic, rank)
+    if rank < _LEAST_RANK or chdtrc(rank, statistic) > _DISAGREE:
+        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), statistic, rank if rank >= _LEAST_RANK else 0)
     along = vectors.T @ own @ covariance[:, j]
     taus = np.sqrt(variance) * np.geomspace(1e-3, 1e4, 281)
     precision = np.maximum(values, 0.0) + taus[:, None] ** -2

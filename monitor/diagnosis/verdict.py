@@ -187,7 +187,8 @@ def judge(
     elif verdict == "unexplained":
         without = found.keep([False] * len(found.fit.effects))
         channel = find_channel_at_fault(without.posterior, without.fit, settings)
-        if channel is not None:  # causes stood in for the fault
+        others = [e for e in found.fit.effects if channel is None or e.location != channel.where]
+        if channel is not None and (left_over or not others):  # causes stood in for the fault
             found, alternatives, left_over = without, (), (channel,)
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
