@@ -23,7 +23,6 @@ from scipy.special import chdtrc, ndtr
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.parameter_uncertainty import is_far
 from monitor.inference import MapEstimate, Posterior, unpacked
-from monitor.inference.arrays import Spectra
 
 _RANGES = 6
 """Ranges of frequency, or of level, that are compared. [count; judgement: twelve are no better, docs/decisions/0100]"""
@@ -189,7 +188,7 @@ def _first_of_ranges(information: Annotated[Array, "parts p p"], refitted: Annot
 
 
 def products_of_channels(
-    predicted: Spectra,
+    predicted: Annotated[ComplexArray, "classes bins c c"],
     spectra: Annotated[Array, "classes bins c*c q"],
     means: Annotated[ComplexArray, "segments bins c q"],
     label: NDArray[np.intp],

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import chi2
 
 from monitor.diagnosis.constancy import CommonSize, LinearFit, common_size, products, products_of_channels
-from monitor.inference.wishart import whiten
 
 ROWS, P, RANGES = 600, 5, 6
 
@@ -75,6 +74,18 @@ def spectra_of(seed: int, p: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return root @ root.conj().swapaxes(-1, -2) + np.eye(3), hermitian(p, 2, 5), rng.uniform(1.0, 2.0, (2, 5))
 
 
+def whiten(spectra: np.ndarray, slopes: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Whitened slopes as real rows, in the order of the posterior's: the lower triangle, row by row."""
+    inverse = np.linalg.inv(np.linalg.cholesky(spectra))
+    whitened = root[..., None, None] * (inverse @ slopes @ inverse.conj().swapaxes(-1, -2))
+    rows = []
+    for i in range(spectra.shape[-1]):
+        for j in range(i):
+            rows += [np.sqrt(2.0) * whitened[..., i, j].real, np.sqrt(2.0) * whitened[..., i, j].imag]
+        rows.append(whitened[..., i, i].real)
+    return np.stack(rows, axis=-1).reshape(len(slopes), -1).T
+
+
 def test_what_is_lost_without_a_channel_is_what_the_others_alone_do_not_say() -> None:
     """Against whitening the sub-array's spectra and means directly."""
     predicted, slopes, root = spectra_of(1)
@@ -83,8 +94,8 @@ def test_what_is_lost_without_a_channel_is_what_the_others_alone_do_not_say() ->
 
     def said(channels: list[int]) -> np.ndarray:
         these = np.ix_(channels, channels)
-        part = np.ascontiguousarray(predicted[..., these[0], these[1]])
-        rows = whiten(part, np.ascontiguousarray(slopes[..., these[0], these[1]]), root)
+        part = predicted[..., these[0], these[1]]
+        rows = whiten(part, slopes[..., these[0], these[1]], root)
         whitened = np.linalg.solve(np.linalg.cholesky(part)[label], means[..., channels, None])
         flat = np.concatenate([whitened.real.reshape(4, -1), whitened.imag.reshape(4, -1)], axis=1)
         return np.asarray(rows.T @ rows + flat @ flat.T)

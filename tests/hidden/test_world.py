@@ -7,6 +7,7 @@ import pytest
 
 from monitor.model import EFFECTS
 from tests.hidden import catalogue, outside, world
+from tests.hidden.judge import FAULT
 from tests.hidden.truth import PLAIN, Site, healthy
 
 
@@ -55,4 +56,4 @@ def test_what_is_in_no_catalogue_changes_a_record(name: str) -> None:
     plain, recorded = (world.record(one, 16.0, 7) for one in (act, changed))
     apart = (recorded - plain).std(axis=0) / plain.std(axis=0)
     assert 0.02 < apart.max() < 2.0
-    assert {hidden.effect for hidden in near} <= set(EFFECTS)
+    assert {hidden.effect for hidden in near} <= {*EFFECTS, FAULT}
