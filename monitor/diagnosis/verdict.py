@@ -184,17 +184,23 @@ def judge(
     if direction is not None:
         found, verdict, alternatives = found.keep([False] * len(found.fit.effects)), "unexplained", ()
         left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
-    elif verdict == "unexplained":
+    channel = None
+    if direction is None and verdict == "unexplained":
         without = found.keep([False] * len(found.fit.effects))
         channel = find_channel_at_fault(without.posterior, without.fit, settings)
         others = [e for e in found.fit.effects if channel is None or e.location != channel.where]
-        if channel is not None and (left_over or not others):  # causes stood in for the fault
-            found, alternatives, left_over = without, (), (channel,)
+        if channel is not None and (left_over or not others):  # causes stand in for the fault
+            found = found.keep([i < found.n_accepted for i in range(len(found.fit.effects))])
+            alternatives, left_over = (), (channel,)
+        else:
+            channel = None
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
     still = find_level_dependence(posterior, fit)
     accepted = (effects if found is described else describe_effects(found, chance))[: found.n_accepted]
+    if channel is not None:
+        accepted = tuple(replace(cause, doubt=cause.doubt or "not constant") for cause in accepted)
     return Diagnosis(
         verdict=verdict,
         causes=tuple(cause for cause in accepted if not cause.doubt),
