@@ -1,4 +1,4 @@
-"""Which channel is at fault, in a way that no cause has: without it the model explains the recording as it is."""
+"""The channel without which the model explains a recording: at fault in a way that no effect has, or alone in what it sees."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _DROWNED = 1e8
 def find_channel_at_fault(posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
     """Find the channel without which a fit without causes leaves nothing over, and far less than without any other.
 
-    A change of the structure shows in what all channels measure together, a fault of a channel in that channel alone.
+    A change of the structure shows in most channels, a fault of a channel in that channel alone.  So does what moves nothing but
+    the place of this channel, which is said beside it.
     """
     channels = posterior.context.channels
     if len(channels) < 2:
@@ -32,8 +33,8 @@ def find_channel_at_fault(posterior: Posterior, fit: MapEstimate, settings: Diag
         return None
     name = channels[channel]
     says = (
-        f"channel {name} is at fault, in a way that no known effect has: without it the model explains the recording; "
-        "check its mounting, its cable and its logger"
+        f"without channel {name} the model explains the recording: either the channel is at fault, in a way that no known effect "
+        "has, or something changed that it alone sees; check its mounting, its cable and its logger, and the structure beside it"
     )
     size = max((m.size for m in find_lack_of_fit(posterior, fit, settings)), default=0.0)
     return LackOfFit(f"channel {name}", size, says, is_explained=True)
@@ -57,8 +58,9 @@ def without_channel(posterior: Posterior, channel: int) -> Posterior:
     """Put noise of known power, which drowns whatever a channel measures, in its place."""
     e = posterior.observed
     values, rng = e.segments.values.copy(), np.random.default_rng(0)
+    real, imaginary = rng.standard_normal((2, *values.shape[:2]))
     power = _DROWNED * float((np.abs(values[:, :, channel]) ** 2).max())
-    values[:, :, channel] = np.sqrt(0.5 * power) * (rng.standard_normal((2, *values.shape[:2])).T @ [1.0, 1j]).T
+    values[:, :, channel] = np.sqrt(0.5 * power) * (real + 1j * imaginary)
     drift = np.zeros(values.shape[1:]) if e.drift is None else e.drift.copy()
     drift[:, channel] = power
     observed = classify(replace(e.segments, values=values, drift=drift), e.label)

@@ -1,8 +1,9 @@
-"""Do disjoint ranges of frequency, and of level, say the same of a coordinate of a fit?  Its interval, and the chance of none.
+"""Do parts of a recording say the same of a coordinate of a fit?  Its interval, and the chance that there is nothing.
 
-A model that lacks something spends its freedom on whatever bends that way: ranges of frequency then want different sizes, or,
-where a law of another form is missing, ranges of vibration level, which the fit's own covariance does not know.  Here every range
-may deviate from a common size (docs/decisions/0101, 0104).
+A model that lacks something spends its freedom on whatever bends that way: ranges of frequency then want different sizes, where a
+law of another form is missing ranges of vibration level, and where a channel is at fault the other channels, which the fit's own
+covariance does not know.  Here every range may deviate from a common size, and each channel is left out in turn
+(docs/decisions/0101, 0104).
 
 References
 ----------
@@ -36,10 +37,10 @@ _NO_SPREAD = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CommonSize:
-    """Common size of a coordinate over ranges, as a mixture of normal densities."""
+    """Size of a coordinate that is common to parts of a recording, as a mixture of normal densities."""
 
     weight: Annotated[Array, "n"]
-    """Probability of each standard deviation between ranges."""
+    """Probability of each density, which has a standard deviation between ranges of its own."""
     change: Annotated[Array, "n"]
     """Mean of the common size, less the fitted one."""
     deviation: Annotated[Array, "n"]
@@ -48,6 +49,11 @@ class CommonSize:
     """Chi-squared with `rank` degrees of freedom where all parts say the same."""
     rank: int = 0
     """Zero where parts cannot differ."""
+
+    @classmethod
+    def normal(cls, variance: float, change: float = 0.0, statistic: float = 0.0, rank: int = 0) -> Self:
+        """Make a single normal density."""
+        return cls(np.ones(1), np.array([change]), np.sqrt([max(variance, 0.0)]), statistic, rank)
 
     @property
     def std(self) -> float:
@@ -132,14 +138,13 @@ class LinearFit:
         size = self.covariance.shape[0]
         refitted = np.linalg.solve(np.eye(size) - self.covariance @ lost[:-1, :-1], self.covariance)
         precision = np.array([1.0 / refitted[j, j], 1.0 / self.covariance[j, j]]) - self.prior[j]
-        variance = self.covariance[j, j]
         if _NO_SPREAD * precision[1] < precision[0] < precision[1]:
             step = -refitted[j] @ lost[:-1, -1]
             change = float((step / refitted[j, j] - self.prior[j] * self.pull[j]) / precision[0])
             statistic = float(change**2 / (1.0 / precision[0] - 1.0 / precision[1]))
             if chdtrc(1, statistic) < _DISAGREE / len(self.alone):
-                return CommonSize(np.ones(1), np.array([change]), precision[:1] ** -0.5, statistic, 1)
-        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]))
+                return CommonSize.normal(1.0 / precision[0], change, statistic, 1)
+        return CommonSize.normal(self.covariance[j, j])
 
 
 def products(rows: Annotated[Array, "parts ... p"]) -> Annotated[Array, "parts p p"]:
@@ -158,11 +163,13 @@ def common_size(parts: Annotated[Array, "parts p+1 p+1"], j: int, covariance: An
     own, score = ranges[:, :-1], ranges[:, -1]
     spread = np.diag(own[:, j]) - own @ covariance @ own.T
     values, vectors = np.linalg.eigh(spread)
-    z, variance = vectors.T @ score, max(covariance[j, j], 0.0)
+    z, variance = vectors.T @ score, covariance[j, j]
     known = values > _NO_SPREAD * np.diag(spread).max()  # a deviation of all ranges alike is none
     statistic, rank = float((z[known] ** 2 / values[known]).sum()), int(known.sum())
-    if rank < _LEAST_RANK or chdtrc(rank, statistic) > _DISAGREE:
-        return CommonSize(np.ones(1), np.zeros(1), np.sqrt([variance]), statistic, rank if rank >= _LEAST_RANK else 0)
+    if rank < _LEAST_RANK:
+        return CommonSize.normal(variance)
+    if chdtrc(rank, statistic) > _DISAGREE:
+        return CommonSize.normal(variance, statistic=statistic, rank=rank)
     along = vectors.T @ own @ covariance[:, j]
     taus = np.sqrt(variance) * np.geomspace(1e-3, 1e4, 281)
     precision = np.maximum(values, 0.0) + taus[:, None] ** -2

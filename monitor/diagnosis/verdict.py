@@ -34,8 +34,8 @@ from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 Doubt = Literal["", "no news", "not constant", "contradicted"]
-"""Of a fitted effect: it cannot be told from modes that were missing at calibration, ranges of frequency or of level disagree on
-its size, or a sensor that entered no fit sees that it is not so."""
+"""Of a fitted effect: it cannot be told from modes that were missing at calibration, ranges of frequency or of level, or other
+channels, disagree on its size, or a sensor that entered no fit sees that it is not so."""
 Alternatives = tuple[tuple[Candidate, float], ...]
 """Candidates that cannot be told apart, with their probabilities."""
 
@@ -186,20 +186,16 @@ def judge(
         left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
     channel = None
     if direction is None and verdict == "unexplained":
-        without = found.keep([False] * len(found.fit.effects))
-        channel = find_channel_at_fault(without.posterior, without.fit, settings)
-        others = [e for e in found.fit.effects if channel is None or e.location != channel.where]
-        if channel is not None and (left_over or not others):  # causes stand in for the fault
+        channel = _find_channel(found, left_over, settings)
+        if channel is not None:
             found = found.keep([i < found.n_accepted for i in range(len(found.fit.effects))])
             alternatives, left_over = (), (channel,)
-        else:
-            channel = None
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
     still = find_level_dependence(posterior, fit)
     accepted = (effects if found is described else describe_effects(found, chance))[: found.n_accepted]
-    if channel is not None:
+    if channel is not None:  # they may stand in for what it measures
         accepted = tuple(replace(cause, doubt=cause.doubt or "not constant") for cause in accepted)
     return Diagnosis(
         verdict=verdict,
@@ -215,6 +211,15 @@ def judge(
         settings=settings,
         simulation_std=found.simulation_std,
     )
+
+
+def _find_channel(found: FittedCauses, left_over: Sequence[LackOfFit], settings: DiagnosisSettings) -> LackOfFit | None:
+    """Find the channel without which no cause is needed, unless causes at other places leave nothing over."""
+    without = found.keep([False] * len(found.fit.effects))
+    channel = find_channel_at_fault(without.posterior, without.fit, settings)
+    if channel is None or left_over or all(e.location == channel.where for e in found.fit.effects):
+        return channel
+    return None
 
 
 def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:

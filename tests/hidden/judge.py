@@ -47,9 +47,9 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
 
     ``among``: the truth is one of alternatives that the data could tell apart; ``certain``: a tie was named; ``part``: one of
     two; ``extra``: the truth and something more; ``place``: right effect, wrong place; ``wrong``: something else is
-    named or listed; ``missed``: none; ``unexplained``; ``crashed``; ``close``: outside the catalogue, but the neighbour is named.
-    Beside an artefact only what is said of the structure counts.  Without a baseline a mode that the structure file lacks may be
-    named, and nothing else.
+    named or listed, or a channel is held at fault that is not; ``missed``: none; ``unexplained``; ``crashed``; ``close``:
+    outside the catalogue, but the neighbour is named.  Beside an artefact only what is said of the structure counts.  Without
+    a baseline a mode that the structure file lacks may be named, and nothing else.
     """
     kind = sealed["kind"]
     if kind == "artefact":
@@ -60,7 +60,7 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
     truth = [key(h) for h in sealed["hidden"]]
     if verdict == "crashed":
         return verdict
-    if blamed(answer) - set(truth):
+    if sealed["kind"] != "artefact" and blamed(answer) - set(truth):
         return "wrong"
     if kind == "clean":
         return {"none": "right", "named": "wrong"}.get(verdict, verdict)

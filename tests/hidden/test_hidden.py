@@ -110,6 +110,20 @@ def test_the_judge_hears_of_the_structure_alone_beside_an_artefact(
     assert judge.outcome(truth, said) == outcome
 
 
+@pytest.mark.parametrize(
+    ("truth", "outcome"),
+    [
+        (sealed("outside", (judge.FAULT, "channel a1")), "right"),
+        (sealed("outside", (judge.FAULT, "channel a2")), "wrong"),
+        (sealed("single", LOSS_1), "wrong"),
+        (sealed("artefact"), "right"),
+    ],
+)
+def test_a_channel_that_is_held_at_fault_must_be(truth: dict[str, Any], outcome: str) -> None:
+    said = {**answer("unexplained"), "left_over": [["channel a1", 20.0], ["f = 4.0-5.0 Hz, channel a2", 9.0]]}
+    assert judge.outcome(truth, said) == outcome
+
+
 def test_without_a_baseline_true_modes_alone_may_be_named() -> None:
     truth = {**sealed("uncalibrated"), "modes_hz": [3.0, 7.0]}
     mode = ("unmodelled_mode", "frame")
