@@ -19,8 +19,7 @@ _DROWNED = 1e8
 def find_channel_at_fault(posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
     """Find the channel without which a fit without causes leaves nothing over, and far less than without any other.
 
-    A change of the structure shows in most channels, a fault of a channel in that channel alone.  So does what moves nothing but
-    the place of this channel, which is said beside it.
+    A change of the structure shows in most channels, a fault of a channel, or a change that it alone sees, in that channel.
     """
     channels = posterior.context.channels
     if len(channels) < 2:
@@ -49,8 +48,7 @@ def _left_by_others(
     """
     others = without_channel(posterior, channel)
     refitted = maximize_posterior(others, fit.x, fit.effects)
-    z = residual_bands(others, refitted)[0]
-    z = np.delete(np.delete(z, channel, axis=1), channel, axis=2)
+    z = np.delete(np.delete(residual_bands(others, refitted)[0], channel, axis=1), channel, axis=2)
     return float((z**2).sum()), z.size, bool(find_lack_of_fit(others, refitted, settings))
 
 

@@ -75,12 +75,8 @@ class CommonSize:
         """Decide if a size may be none, where parts agree on it or disagree on it, but for a `chance`."""
         if self.chance_of_none(size) <= chance and is_far(size, self.std):
             return False
-        return self.agrees or bool(chdtrc(self.rank, self.statistic) < chance)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether parts scatter no more than by chance."""
-        return self.rank == 0 or bool(chdtrc(self.rank, self.statistic) > _DISAGREE)
+        scatter = float(chdtrc(self.rank, self.statistic)) if self.rank else 1.0
+        return not chance <= scatter <= _DISAGREE
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -111,8 +107,7 @@ class LinearFit:
         spectra = rows[: residual.size].reshape(k, n, c * c, -1)
         means = rows[residual.size :].reshape(2, -1, n, c, rows.shape[1])  # real and imaginary parts of every segment
         observed = posterior.observed
-        loud = np.argsort(observed.level, kind="stable")
-        levels = means[:, loud].swapaxes(0, 1) if of_means.size else spectra
+        levels = means[:, np.argsort(observed.level, kind="stable")].swapaxes(0, 1) if of_means.size else spectra
         mean, precision = posterior.normal_prior(fit.x, fit.effects)
         return cls(
             covariance=fit.covariance,
@@ -124,9 +119,7 @@ class LinearFit:
         )
 
     def common_sizes(self, j: int) -> tuple[CommonSize, ...]:
-        """Compute the size of coordinate j that is common to ranges of frequency, that of ranges of level, and that without each
-        channel.
-        """
+        """Compute the sizes of coordinate j common to ranges of frequency, to ranges of level, and without each channel."""
         ranges = (common_size(parts, j, self.covariance) for parts in (self.frequencies, self.levels))
         return (*ranges, *(self._without(lost, j) for lost in self.alone))
 
@@ -135,12 +128,10 @@ class LinearFit:
 
         A fault of the channel that the model lacks is not in what the others measure.  What they cannot see is left as it was.
         """
-        size = self.covariance.shape[0]
-        refitted = np.linalg.solve(np.eye(size) - self.covariance @ lost[:-1, :-1], self.covariance)
+        refitted = np.linalg.solve(np.eye(len(self.covariance)) - self.covariance @ lost[:-1, :-1], self.covariance)
         precision = np.array([1.0 / refitted[j, j], 1.0 / self.covariance[j, j]]) - self.prior[j]
         if _NO_SPREAD * precision[1] < precision[0] < precision[1]:
-            step = -refitted[j] @ lost[:-1, -1]
-            change = float((step / refitted[j, j] - self.prior[j] * self.pull[j]) / precision[0])
+            change = (-(refitted[j] @ lost[:-1, -1]) / refitted[j, j] - self.prior[j] * self.pull[j]) / precision[0]
             statistic = float(change**2 / (1.0 / precision[0] - 1.0 / precision[1]))
             if chdtrc(1, statistic) < _DISAGREE / len(self.alone):
                 return CommonSize.normal(1.0 / precision[0], change, statistic, 1)

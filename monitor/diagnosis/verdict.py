@@ -184,12 +184,10 @@ def judge(
     if direction is not None:
         found, verdict, alternatives = found.keep([False] * len(found.fit.effects)), "unexplained", ()
         left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
-    channel = None
-    if direction is None and verdict == "unexplained":
-        channel = _find_channel(found, left_over, settings)
-        if channel is not None:
-            found = found.keep([i < found.n_accepted for i in range(len(found.fit.effects))])
-            alternatives, left_over = (), (channel,)
+    channel = _find_channel(found, left_over, settings) if direction is None and verdict == "unexplained" else None
+    if channel is not None:
+        found = found.keep([i < found.n_accepted for i in range(len(found.fit.effects))])
+        alternatives, left_over = (), (channel,)
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(posterior, null_fit))
@@ -217,9 +215,8 @@ def _find_channel(found: FittedCauses, left_over: Sequence[LackOfFit], settings:
     """Find the channel without which no cause is needed, unless causes at other places leave nothing over."""
     without = found.keep([False] * len(found.fit.effects))
     channel = find_channel_at_fault(without.posterior, without.fit, settings)
-    if channel is None or left_over or all(e.location == channel.where for e in found.fit.effects):
-        return channel
-    return None
+    stands_in = channel is None or left_over or all(e.location == channel.where for e in found.fit.effects)
+    return channel if stands_in else None
 
 
 def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
@@ -319,7 +316,7 @@ def describe_effects(found: FittedCauses, chance: float) -> tuple[Cause, ...]:
     for i, std in enumerate(coordinate_std(posterior, fit, fit_std, found.simulation_std)):
         own = zip(range(fit.x.size)[fit.coordinates_of(i)], sizes(fit.effects[i]), strict=True)
         doubtful = [any(one.is_doubtful(size, chance) for one in common[j]) for j, size in own if size is not None]
-        constant = not doubtful or not all(doubtful)
-        doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "" if constant else "not constant"
+        wrong = bool(doubtful) and all(doubtful)
+        doubt: Doubt = "no news" if not is_stated(posterior, fit, i) else "not constant" if wrong else ""
         causes.append(Cause.of(*as_seen(posterior, fit, i, std), doubt))
     return tuple(causes)
