@@ -54,6 +54,7 @@ from .parts import (
     TOGETHER as TOGETHER,
     Features as Features,
     Parts as Parts,
+    located as located,
     modal_parts as modal_parts,
 )
 from .presence import Presence as Presence, Sighting as Sighting, learn_presence as learn_presence

@@ -171,12 +171,12 @@ def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
     ValueError, KeyError, TypeError
         If the content is no model of this structure.
     """
-    n, p = drawn.structure.n_dofs, drawn.structure.n_stories
+    n, b, p = drawn.structure.n_dofs, drawn.structure.n_masses, drawn.structure.n_stories
 
     def array(name: str, *shape: int) -> Array | None:
         return None if content[name] is None else np.array(content[name], dtype=float).reshape(shape)
 
-    stiffness, masses = array("stiffness_n_per_m", p), array("masses_kg", n)
+    stiffness, masses = array("stiffness_n_per_m", p), array("masses_kg", b)
     if stiffness is None or masses is None:
         raise ValueError("no stiffnesses or no masses")
     return replace(

@@ -139,7 +139,7 @@ class FittedSizes:
         """
         if not self.location.startswith("floor "):
             return ""
-        share = 100.0 * self.value(name) / self.structure.masses_kg[int(self.place_name) - 1]
+        share = 100.0 * self.value(name) / self.structure.masses_kg[int(self.place_name.partition(" ")[0]) - 1]
         return f" ({share:.1f} % of the floor's mass)"
 
 

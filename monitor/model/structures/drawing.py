@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from monitor.core import Array, Settings
+from monitor.model.structures.building import Building
 
 _FRAME_WIDTH = 0.4
 """Width of a drawn frame over its height. [ratio; judgement]"""
@@ -84,6 +85,33 @@ class Drawing:
         edges = [(4 * i + c, 4 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
         stories = np.append(np.repeat(np.arange(n), 4), np.full(len(edges), -1)).astype(np.intp)
         return cls(points, dofs, np.array([*columns, *edges], dtype=np.intp), stories)
+
+    @classmethod
+    def of_building(cls, structure: Building, story_heights_m: Array) -> Self:
+        """Make the drawing of a building, the lowest storey first.
+
+        Each storey has braces in the faces along x and along y, which stand for its stiffnesses, and a line in the middle for
+        that about z; a building that moves one way has the braces of that way.
+        """
+        n, levels = len(story_heights_m), np.append(0.0, np.cumsum(story_heights_m))
+        half = 0.5 * structure.plan_m[[0, *range(n)]]
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (0, 0)])  # and the middle
+        flat = corners * half[:, None]
+        points = np.concatenate([flat, np.broadcast_to(levels[:, None, None], (n + 1, 5, 1))], axis=2).reshape(-1, 3)
+        dofs = np.full((n + 1, 5, 3), -1, dtype=np.intp)
+        for i, d in enumerate(structure.directions):
+            if d != "torsion":
+                dofs[1:, :, "xy".index(d)] = i * n + np.arange(n)[:, None]
+        lines, stories = [], []
+        faces = {"x": ((0, 1), (3, 2)), "y": ((0, 3), (1, 2)), "torsion": ((4, 4),)}
+        for i, d in enumerate(structure.directions):
+            for j in range(n):
+                lines += [(5 * j + a, 5 * j + 5 + b) for a, b in faces[d]]
+                stories += [i * n + j] * len(faces[d])
+        grey = [(5 * j + c, 5 * j + 5 + c) for j in range(n) for c in range(4)]
+        grey += [(5 * i + c, 5 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
+        members = np.array([*stories, *[-1] * len(grey)], dtype=np.intp)
+        return cls(points, dofs.reshape(-1, 3), np.array([*lines, *grey], dtype=np.intp), members)
 
     @classmethod
     def of_bars(cls, n_stories: int) -> Self:

@@ -187,6 +187,7 @@ def hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int,
     for a in summary.get("alarms", ()):
         last, modal = a["t_last_ns"], bool(a.get("part"))
         story, size, std = ("part", "change", "change_std") if "part" in a else ("story", "ddi", "ddi_std")
+        story = "index" if "index" in a else story
         loss = Loss(
             Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal,
             a.get("t_level_ns"),
