@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -16,6 +16,8 @@ from monitor.model.structures.base import Structure
 Direction = Literal["x", "y", "torsion"]
 DIRECTIONS: tuple[Direction, ...] = ("x", "y", "torsion")
 """Directions in which a floor moves, in the order of degrees of freedom and stiffnesses. [names; definition]"""
+_KEYS = {"x": "stiffness_x_n_per_m", "y": "stiffness_y_n_per_m", "torsion": "stiffness_z_nm_per_rad"}
+"""Keys of their stiffnesses in a structure file. [names; contract]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,6 +54,8 @@ class Building(Structure):
     """Directions that the model has: all, or one alone."""
     ground_axis: Literal["x", "y"] = "x"
     """Direction of a ground motion."""
+    heights_m: Annotated[Array, "n"] | None = None
+    """Heights of the storeys, the lowest first."""
 
     @property
     @override
@@ -73,6 +77,12 @@ class Building(Structure):
     def rides(self) -> Array:
         alone = len(self.directions) == 1
         return np.repeat([float(alone or d == self.ground_axis) for d in self.directions], self.n_masses)
+
+    def storey_values(self) -> dict[str, Annotated[Array, "n"]]:
+        """Return masses and stiffnesses by the keys of ``[[storeys]]``."""
+        of_directions = self.stiffness_n_per_m.reshape(len(self.directions), -1)
+        stiffness = {_KEYS[d]: own for d, own in zip(self.directions, of_directions, strict=True)}
+        return {"mass_kg": self.masses_kg, **stiffness}
 
     def _places(self, kind: str) -> tuple[str, ...]:
         return tuple(f"{kind} {j + 1} {d}" for d in self.directions for j in range(self.n_masses))
@@ -104,6 +114,21 @@ class Building(Structure):
         row = np.zeros((len(self.directions), self.n_masses))
         row[:, floor - 1] = [shares.get(d, 0.0) for d in self.directions]
         return row.ravel()
+
+    def points_motion(self, floors: Sequence[int], positions_m: Annotated[Array, "k 2"]) -> Annotated[Array, "k 2 N"]:
+        """Return the motion along x and y of points on floors (0 the ground, which rests) by the degrees of freedom."""
+        out = np.zeros((len(floors), 2, self.n_dofs))
+        for row, floor, (x, y) in zip(out, floors, positions_m.tolist(), strict=True):
+            if floor:
+                row[:] = self.sensor_row(floor, "x", (x, y)), self.sensor_row(floor, "y", (x, y))
+        return out
+
+    def corner_drifts(self) -> Annotated[Array, "q N"]:
+        """Return the drifts along x and y at the four corners of each storey by the degrees of freedom, 8 rows a storey."""
+        n, corners = self.n_masses, np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+        at = (self.plan_m[:, None] * corners).reshape(-1, 2)
+        above, below = (self.points_motion(np.repeat(np.arange(n) + upper, 4).tolist(), at) for upper in (1, 0))
+        return (above - below).reshape(8 * n, self.n_dofs)
 
     @override
     def drift_matrix(self) -> Array:

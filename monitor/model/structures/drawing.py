@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from monitor.core import Array, Settings
+from monitor.core import Array, ComplexArray, Settings
 from monitor.model.structures.building import Building
 
 _FRAME_WIDTH = 0.4
@@ -61,6 +61,14 @@ class Drawing:
     """Story of each line, from 0; -1 for none."""
     names: tuple[str, ...] = ()
     """Name of each point; empty for none."""
+    motion: Annotated[Array, "n 3 N"] | None = None
+    """Motion of each point by the degrees of freedom, where floors turn; None: that of `dofs`."""
+
+    def displaced(self, whole: Annotated[ComplexArray, "N"]) -> Annotated[ComplexArray, "n 3"]:
+        """Compute the points' displacements by those of the degrees of freedom."""
+        if self.motion is not None:
+            return np.asarray(self.motion @ whole)
+        return np.where(self.dofs >= 0, whole[self.dofs], 0.0)
 
     @classmethod
     def of(cls, nodes: Sequence[NodeTable], lines: Sequence[LineTable]) -> Self:
@@ -111,7 +119,9 @@ class Drawing:
         grey = [(5 * j + c, 5 * j + 5 + c) for j in range(n) for c in range(4)]
         grey += [(5 * i + c, 5 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
         members = np.array([*stories, *[-1] * len(grey)], dtype=np.intp)
-        return cls(points, dofs.reshape(-1, 3), np.array([*lines, *grey], dtype=np.intp), members)
+        on = structure.points_motion(np.repeat(np.arange(n + 1), 5).tolist(), flat.reshape(-1, 2))
+        motion = np.concatenate([on, np.zeros_like(on[:, :1])], axis=1)
+        return cls(points, dofs.reshape(-1, 3), np.array([*lines, *grey], dtype=np.intp), members, motion=motion)
 
     @classmethod
     def of_bars(cls, n_stories: int) -> Self:

@@ -291,6 +291,7 @@ class BuildingTable(_Drawing):
             np.array([s.eccentricity_m for s in self._storeys]),
             self._directions,
             self.ground_axis,
+            np.array(self.story_heights_m),
         )
 
     @override
