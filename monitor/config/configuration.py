@@ -451,7 +451,14 @@ class Configuration(Settings):
             rate_hz=samples.rate_hz,
             cutoff_hz=samples.cutoff_hz,
             rows=rows,
+            boxes=self._boxes(),
         )
+
+    def _boxes(self) -> tuple[tuple[int, int], ...]:
+        """Find the channels along x and along y at one place of a building."""
+        at = {(s.floor, s.position_m, s.axis or "x"): i for i, s in enumerate(self.floor_sensors)}
+        pairs = [(i, at.get((floor, place, "y"))) for (floor, place, axis), i in at.items() if axis == "x"]
+        return tuple((x, y) for x, y in pairs if y is not None)
 
 
 def _twice(names: Iterable[str]) -> list[str]:

@@ -45,6 +45,8 @@ class InstrumentedModel:
     """Cutoff of the lowpass before resampling."""
     rows: Annotated[Array, "c n"] | None = None
     """What each channel sees of the degrees of freedom; None: the one of its floor."""
+    boxes: tuple[tuple[int, int], ...] = ()
+    """Channels along x and along y, from 0, of each box that measures both at one place."""
 
     @property
     def sensor_matrix(self) -> Annotated[Array, "c n"]:
@@ -66,4 +68,4 @@ class InstrumentedModel:
 
     def context(self, rate_hz: float) -> Context:
         """Make the context in which effects act, for samples at `rate_hz` (Hz)."""
-        return Context(self.model.structure, self.channels, self.sensor_matrix, rate_hz)
+        return Context(self.model.structure, self.channels, self.sensor_matrix, rate_hz, self.boxes)

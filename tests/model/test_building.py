@@ -132,3 +132,30 @@ def test_the_ground_moves_one_way() -> None:
     moved = simulate(Model(SYMMETRIC), duration_s=20.0, rate_hz=50.0, excitation="ground").floors
     assert np.abs(moved[:, :N]).max() > 0.1
     assert np.abs(moved[:, N:]).max() < 1e-9
+
+
+def test_a_rotated_box_shows_what_the_other_channel_should() -> None:
+    site = configuration(FILE + sensors("xy", (3.0, 2.0))).instrumented()
+    turned = parse_effect("sensor_rotation:channel x2,y2:angle_deg=30")
+    context = site.context(50.0)
+    assert turned.location in type(turned).places_in(context) and len(type(turned).places_in(context)) == N
+    true = np.random.default_rng(1).standard_normal((50, 2 * N))
+    recorded = turned.measure(true, 50.0, context, np.random.default_rng(0))
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    np.testing.assert_allclose(recorded[:, 2:4], true[:, 2:4] @ np.array([[c, -s], [s, c]]), rtol=1e-12)
+    np.testing.assert_array_equal(recorded[:, [0, 1, 4, 5]], true[:, [0, 1, 4, 5]])
+
+
+def test_check_says_what_the_sensors_will_see(main: Cli, tmp_path: Path) -> None:
+    roof = "".join(
+        f'[[sensors]]\nchannel = "{name}"\nfloor = 3\naxis = "y"\nposition_m = [{x}, 0.0]\n'
+        for name, x in (("east", 9.0), ("west", -9.0))
+    )
+    path = tmp_path / "roof.toml"
+    path.write_text(FILE + roof + "[processing]\nrate_hz = 20.0\ncutoff_hz = 4.0\n")
+    done = main("check", path)
+    assert done.returncode == 0, done.stderr
+    assert "along x: not seen" in done.stdout
+    assert "along y: seen as a whole: a loss there is told, but not in which storey" in done.stdout
+    path.write_text(FILE + sensors("xy", (9.0, 5.0)))
+    assert main("check", path).stdout.count("every storey is told from the others") == 3

@@ -46,6 +46,7 @@ from monitor.model.effects.sensor_clipping import SensorClipping
 from monitor.model.effects.sensor_gain import SensorGain
 from monitor.model.effects.sensor_noise import SensorNoise
 from monitor.model.effects.sensor_polarity import SensorPolarity
+from monitor.model.effects.sensor_rotation import SensorRotation
 from monitor.model.effects.stiffness_change import StiffnessChange
 from monitor.model.effects.story_damper import StoryDamper
 from monitor.model.effects.temperature_stiffness import TemperatureStiffness
@@ -74,6 +75,7 @@ EFFECTS: dict[str, type[Effect]] = {
         SensorGain,
         SensorPolarity,
         ChannelSwap,
+        SensorRotation,
         TimeOffset,
         ClockRate,
         SensorClipping,

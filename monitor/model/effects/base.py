@@ -43,6 +43,8 @@ class Context:
     """Matrix that picks the channels out of the floors' motion."""
     rate_hz: float
     """Rate of the source's samples."""
+    boxes: tuple[tuple[int, int], ...] = ()
+    """Channels along x and along y, from 0, of each box that measures both at one place."""
 
 
 def _none_degc(lag_s: float) -> float:

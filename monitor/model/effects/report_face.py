@@ -28,6 +28,7 @@ _UNITS = (
     ("_s", "s"),
     ("seconds", "s"),
     ("per_degc", "1/K"),
+    ("_deg", "°"),
 )
 """Pairs of a parameter name's suffix and its unit; the first suffix that fits counts."""
 _SIZED_STDS = 2.0

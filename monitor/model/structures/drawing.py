@@ -16,6 +16,9 @@ from monitor.model.structures.building import Building
 _FRAME_WIDTH = 0.4
 """Width of a drawn frame over its height. [ratio; judgement]"""
 
+_BUILDING_WIDTH = 0.5
+"""Longest side of a drawn building's plan over its height. [ratio; judgement: mode shapes stand side by side]"""
+
 Dof = Annotated[int, Field(ge=1)] | None
 
 
@@ -104,7 +107,8 @@ class Drawing:
         n, levels = len(story_heights_m), np.append(0.0, np.cumsum(story_heights_m))
         half = 0.5 * structure.plan_m[[0, *range(n)]]
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (0, 0)])  # and the middle
-        flat = corners * half[:, None]
+        at = corners * half[:, None]
+        flat = at * _BUILDING_WIDTH * levels[-1] / structure.plan_m.max()
         points = np.concatenate([flat, np.broadcast_to(levels[:, None, None], (n + 1, 5, 1))], axis=2).reshape(-1, 3)
         dofs = np.full((n + 1, 5, 3), -1, dtype=np.intp)
         for i, d in enumerate(structure.directions):
@@ -119,7 +123,7 @@ class Drawing:
         grey = [(5 * j + c, 5 * j + 5 + c) for j in range(n) for c in range(4)]
         grey += [(5 * i + c, 5 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
         members = np.array([*stories, *[-1] * len(grey)], dtype=np.intp)
-        on = structure.points_motion(np.repeat(np.arange(n + 1), 5).tolist(), flat.reshape(-1, 2))
+        on = structure.points_motion(np.repeat(np.arange(n + 1), 5).tolist(), at.reshape(-1, 2))
         motion = np.concatenate([on, np.zeros_like(on[:, :1])], axis=1)
         return cls(points, dofs.reshape(-1, 3), np.array([*lines, *grey], dtype=np.intp), members, motion=motion)
 

@@ -488,7 +488,9 @@ def _alarms(page: Sheet, period: Period) -> None:
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or present
         actions = actions or ("nobody yet" if period.live is None else _UNKNOWN)
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
+        diagnosis = diagnosis_of(e, period.findings, period.known.names) or (
+            "needs a model" if e.modal else "not diagnosed"
+        )
         where, size = _name(e.story, period), f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
         size = (
             period.known.parts.size(e.story, e.ddi, e.ddi_std) if period.known.relative and where not in ALONE else size
