@@ -183,7 +183,9 @@ def test_two_directions_are_one_building_or_one_direction_and_never_a_mixture(tm
     stiffer = ShearFrame(FRAME.masses_kg, 1.7 * FRAME.stiffness_n_per_m, 0.01)
     other = simulate(Model(stiffer), duration_s=600.0, rate_hz=100.0, noise=0.05, seed=8).floors
     upright = 0.1 * np.random.default_rng(4).standard_normal(other.shape) * other.std()
-    values = np.hstack([simulate(Model(FRAME), duration_s=600.0, rate_hz=100.0, noise=0.05, seed=7).floors, other, upright])
+    values = np.hstack(
+        [simulate(Model(FRAME), duration_s=600.0, rate_hz=100.0, noise=0.05, seed=7).floors, other, upright]
+    )
     names = [f"f{3 - j}{axis}" for axis in "xyz" for j in range(3)]
     both = tmp_path / "both.csv"
     np.savetxt(both, values, delimiter=",", header=",".join(names), comments="")
