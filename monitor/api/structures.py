@@ -29,8 +29,8 @@ class Structure:
         return self.config.channels
 
     @property
-    def floors(self) -> tuple[int, ...]:
-        """Floor (degree of freedom, from 1) of each channel."""
+    def floors(self) -> tuple[int | str, ...]:
+        """Floor (degree of freedom, from 1) of each channel; in a building its place in words."""
         return self.instrumented.floors
 
     @property

@@ -11,7 +11,7 @@ from monitor.cli.common import Healthy, Json, Recordings, Results, Serve, Struct
 from monitor.cli.emulate import parse_speed
 from monitor.cli.progress import progress
 from monitor.cli.reader_options import reads_files
-from monitor.core import demand_place, no_empty_folder, spare_inputs
+from monitor.core import demand_place, no_empty_folder, spare_inputs, storey_of
 
 if TYPE_CHECKING:
     from monitor.config import Configuration
@@ -112,7 +112,8 @@ def calibrate(
     stiffness, as_drawn = baseline.model.structure.stiffness_n_per_m, settings.drawn.stiffness_n_per_m
     for name, k, drawn, std in zip(settings.story_names, stiffness, as_drawn, relative_std, strict=False):
         change = f"{100.0 * (k / drawn - 1.0):+.1f} %"
-        lines.append(f"{name}: {_interval(k, k * std, 'N/m')}; structure file {drawn:.5g} N/m ({change})")
+        of = "N m/rad" if (storey_of(name) or ("", ""))[1] == "torsion" else "N/m"
+        lines.append(f"{name}: {_interval(k, k * std, of)}; structure file {drawn:.5g} {of} ({change})")
     if baseline.reference is not None:
         lines += [f"already so at calibration: {cause['says']}" for cause in standing_causes(baseline.reference)]
     lines += law_lines(baseline.law)

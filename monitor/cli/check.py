@@ -32,6 +32,7 @@ def check(
             as_json,
         )
         return
+    from monitor.damage import what_sensors_see
     from monitor.identification import stabilization
     from monitor.runs import load_healthy
     from monitor.service import outlets
@@ -59,7 +60,12 @@ def check(
     modes, p = settings.model().modes(), settings.processing
     frequencies = modes.frequencies_hz
     text = f"{head}\nnatural frequencies: {', '.join(f'{f:.4g}' for f in frequencies)} Hz"
-    say(text, {**content, "frequencies_hz": frequencies.tolist()}, as_json)
+    content["frequencies_hz"] = frequencies.tolist()
+    if settings.storeys:
+        wanted = stabilization.expected_modes(modes, p.cutoff_hz, settings.selection)
+        content["seen"] = what_sensors_see(settings.instrumented(), wanted, settings.story_names)
+        text += "".join(f"\n{says}" for says in ("what the sensors will see of a loss of 10 %:", *content["seen"]))
+    say(text, content, as_json)
     beyond = [f"{f:.4g}" for f in frequencies if f > p.cutoff_hz]
     if beyond:
         warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {p.cutoff_hz:g}")
@@ -82,11 +88,12 @@ def _demand_recordings(file: Path, settings: Configuration) -> None:
 
 def _warn_of_shared_floors(settings: Configuration) -> None:
     """Warn of sensors on the same floor, of which one may have been meant for another."""
-    on: dict[int, list[str]] = defaultdict(list)
+    on: dict[tuple[int, str], list[str]] = defaultdict(list)
     for sensor in settings.sensors:
         if sensor.floor is not None:
-            on[sensor.floor].append(sensor.channel)
-    for floor, channels in sorted(on.items()):
+            place = f"{sensor.along}, {sensor.position_m}" if settings.storeys else ""
+            on[sensor.floor, place].append(sensor.channel)
+    for (floor, _), channels in sorted(on.items()):
         if len(channels) > 1:
             warn(
                 f"sensors: {', '.join(channels)} are on the same floor {floor}: right if they measure its motion twice, in the "

@@ -29,7 +29,10 @@ def simulate(
     noise: Annotated[
         float, Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
     ] = 0.05,
-    damage: Annotated[list[str], Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
+    damage: Annotated[
+        list[str],
+        Option(metavar="storyN=LOSS", help="Loss of stiffness; or storeyNx=, y=, torsion=."),
+    ] = [],  # noqa: B006
     effect: Annotated[list[str], Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
     rate: Annotated[float, Option(min=1.0, max=1e6, help="Sample rate in Hz.")] = 1024.0,
     level_spread: Annotated[float, Option(min=0.0, max=10.0, help="Relative spread of the excitation's level.")] = 0.0,

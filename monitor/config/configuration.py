@@ -19,6 +19,7 @@ from drivers.settings import RecorderSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.service_settings import LogSettings, StateSettings
 from monitor.core import (
+    DIRECTION_WORDS,
     BadConfigurationError,
     MissingInputError,
     Settings,
@@ -32,6 +33,8 @@ from monitor.events import EventSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
 from monitor.model import (
     FORMS,
+    Building,
+    BuildingTable,
     Drawing,
     DrawnTable,
     Effect,
@@ -42,8 +45,10 @@ from monitor.model import (
     Model,
     NodeTable,
     ShearFrame,
+    StoreyTable,
     StructureTable,
     drawing_problems,
+    place_index,
 )
 from monitor.signals import FrontEnd, HealthSettings, ProcessingSettings, QualitySettings, TemperatureSettings
 
@@ -60,23 +65,25 @@ class SensorTable(Settings):
     channel: str = Field(min_length=1)
     """Name of the channel in the data."""
     floor: int | None = Field(default=None, ge=0)
-    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor.  Needed unless the structure is ``modal``.
-    0 is the ground, for a witness."""
+    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor, of a building that above the first storey.
+    Needed unless the structure is ``modal``.  0 is the ground, for a witness."""
     label: str = ""
     """Where the sensor is, for people, as ``mid-span, north``."""
     quantity: Literal["acceleration", "rotation_rate"] = "acceleration"
     """What is measured: an acceleration, on the topic ``/acceleration``, or a rate of rotation, on ``/rotation_rate``."""
     axis: Literal["x", "y", "z"] | None = None
     """Axis along which, or about which, it is measured: ``x`` is the direction in which the floors move in the model, ``z`` is
-    up.  ``x`` by default for an acceleration; needed for a rate of rotation.  What is no acceleration along ``x`` is a witness:
-    it enters no estimate, and a diagnosis says whether it agrees."""
+    up.  ``x`` by default for an acceleration; needed for a rate of rotation.  What is no acceleration along ``x``, or ``y`` in
+    a building, is a witness: it enters no estimate, and a diagnosis says whether it agrees."""
+    position_m: tuple[float, float] = (0.0, 0.0)
+    """Place on the floor of a building, along x and y from the middle of its plan."""
     mounted: Literal["joint", "midspan"] = "joint"
     """Where on the floor a gyroscope is: at a joint of column and girder, or in the middle of a girder."""
 
     @property
-    def is_witness(self) -> bool:
-        """Whether this is another quantity than the motion that the model describes."""
-        return self.quantity != "acceleration" or self.axis not in (None, "x")
+    def along(self) -> str | None:
+        """Axis of an acceleration; None for another quantity."""
+        return (self.axis or "x") if self.quantity == "acceleration" else None
 
 
 class InputTable(Settings):
@@ -85,7 +92,9 @@ class InputTable(Settings):
     channel: str = Field(min_length=1)
     """Name of the channel on the topic ``/force``, N."""
     floor: int = Field(ge=1)
-    """Floor (degree of freedom) on which the force acts; 1 is the top floor."""
+    """Floor (degree of freedom) on which the force acts; 1 is the top floor, of a building that above the first storey."""
+    axis: Literal["x", "y"] = "x"
+    """Axis along which the force acts on a building's floor, at its centre of stiffness."""
 
     @model_validator(mode="before")
     @classmethod
@@ -201,6 +210,7 @@ class Configuration(Settings):
     """
 
     structure: StructureTable
+    storeys: tuple[StoreyTable, ...] = ()
     sensors: tuple[SensorTable, ...] = Field(min_length=1)
     inputs: tuple[InputTable, ...] = ()
     covariates: tuple[CovariateTable, ...] = ()
@@ -234,8 +244,13 @@ class Configuration(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
+        if self.storeys and not isinstance(self.structure, BuildingTable):
+            raise ValueError('storeys: they belong to [structure] kind = "building"')
         if not self.floor_sensors:
-            raise ValueError("sensors: none of them is an accelerometer along x, by which the structure is judged")
+            which = " or y" if isinstance(self.structure, BuildingTable) else ""
+            raise ValueError(
+                f"sensors: none of them is an accelerometer along x{which}, by which the structure is judged"
+            )
         turning = [i for i, s in enumerate(self.sensors) if s.quantity == "rotation_rate" and s.axis is None]
         problems = [f"sensors.{i}.axis: Field required: about which axis is the rotation?" for i in turning]
         problems += [f"sensors: channel {problem}" for problem in _twice(s.channel for s in self.sensors)]
@@ -264,7 +279,7 @@ class Configuration(Settings):
         problems += [
             f"sensors.{i}.floor: {s.channel!r} is on floor {s.floor} of {n}"
             for i, s in enumerate(self.sensors)
-            if s.floor is not None and not int(not s.is_witness) <= s.floor <= n
+            if s.floor is not None and not int(s not in self.witnesses) <= s.floor <= n
         ]
         problems += [f"inputs: channel {problem}" for problem in _twice(i.channel for i in self.inputs)]
         problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
@@ -274,7 +289,7 @@ class Configuration(Settings):
             except EffectError as error:
                 problems.append(f"effects: {error}")
         problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched if not 1 <= j <= stories]
-        return problems + drawing_problems(self.nodes, self.lines, n, stories)
+        return problems + drawing_problems(self.nodes, self.lines, self.drawn.structure().n_dofs, stories)
 
     def _modal_problems(self) -> list[str]:
         """Check that nothing is stated that needs a model."""
@@ -318,9 +333,10 @@ class Configuration(Settings):
     @property
     def floor_sensors(self) -> tuple[SensorTable, ...]:
         """Sensors by which the structure is judged: accelerometers along the model's direction; without a model, all of them."""
-        if self.has_model:
-            return tuple(s for s in self.sensors if not s.is_witness)
-        return tuple(s for s in self.sensors if s.quantity == "acceleration")
+        axes = (
+            ("x", "y") if isinstance(self.structure, BuildingTable) else ("x",) if self.has_model else ("x", "y", "z")
+        )
+        return tuple(s for s in self.sensors if s.along in axes)
 
     @property
     def witnesses(self) -> tuple[SensorTable, ...]:
@@ -344,10 +360,21 @@ class Configuration(Settings):
 
     @property
     def drawn(self) -> DrawnTable:
-        """The structure as drawn; raises `BadConfigurationError` if nothing is."""
-        if isinstance(self.structure, ModalTable):
+        """The structure as drawn, in the directions that its sensors see; raises `BadConfigurationError` if nothing is."""
+        table = self.structure
+        if isinstance(table, ModalTable):
             raise BadConfigurationError(NO_MODEL)
-        return self.structure
+        return table.completed(self.storeys, self._only_axis) if isinstance(table, BuildingTable) else table
+
+    @property
+    def _only_axis(self) -> Literal["x", "y"] | None:
+        """The one direction of a building that its sensors see, where nothing couples that to another; else None."""
+        axes = {s.axis or "x" for s in self.floor_sensors} | {i.axis for i in self.inputs}
+        across = 1 if "x" in axes else 0
+        turns = any(s.position_m[across] for s in self.floor_sensors)
+        if len(axes) > 1 or turns or any(s.eccentricity_m[across] for s in self.storeys):
+            return None
+        return "x" if "x" in axes else "y"
 
     def model(self) -> Model:
         """Build the nominal model with the effects of the file."""
@@ -358,10 +385,7 @@ class Configuration(Settings):
     @property
     def story_names(self) -> tuple[str, ...]:
         """What people call each stiffness: its number, with its name where the structure file has one; none without a model."""
-        if isinstance(self.structure, ModalTable):
-            return ()
-        n, names = len(self.structure.stiffness_n_per_m), self.structure.story_names
-        return tuple(f"story {j}" + (f" ({names[j - 1]})" if names else "") for j in range(1, n + 1))
+        return () if isinstance(self.structure, ModalTable) else self.drawn.names
 
     @property
     def drawing(self) -> Drawing:
@@ -377,11 +401,23 @@ class Configuration(Settings):
         """What the model consists of, in words: ``3 stories``, or ``6 stiffnesses, 12 degrees of freedom``."""
         if not self.has_model:
             return "no model, the modes alone"
-        stories, dofs = len(self.drawn.stiffness_n_per_m), len(self.drawn.masses_kg)
-        if isinstance(self.drawn.structure(), ShearFrame):
+        structure = self.drawn.structure()
+        stories, dofs = structure.n_stories, structure.n_dofs
+        if isinstance(structure, ShearFrame):
             return f"{stories} {'story' if stories == 1 else 'stories'}"
+        if isinstance(structure, Building):
+            along = ", ".join(DIRECTION_WORDS[d] for d in structure.directions)
+            return f"{structure.n_masses} storey{'s' * (structure.n_masses > 1)}, counted from the ground, {along}"
         stiffnesses = "1 stiffness" if stories == 1 else f"{stories} stiffnesses"
         return f"{stiffnesses}, {dofs} degree{'s' if dofs > 1 else ''} of freedom"
+
+    @property
+    def forced(self) -> tuple[int, ...]:
+        """Degree of freedom on which each measured force acts, from 1."""
+        structure = self.drawn.structure() if self.inputs else None
+        if isinstance(structure, Building):
+            return tuple(place_index(f"floor {i.floor} {i.axis}", structure) + 1 for i in self.inputs)
+        return tuple(i.floor for i in self.inputs)
 
     def front_end(self) -> FrontEnd:
         """Create the front end that turns samples of the source into windows and segments."""
@@ -390,13 +426,21 @@ class Configuration(Settings):
             self.processing,
             self.refinement.segment_s,
             n_lags=2 * self.identification.block_rows,
-            forces=tuple((i.channel, i.floor) for i in self.inputs),
+            forces=tuple(zip([i.channel for i in self.inputs], self.forced, strict=True)),
         )
 
     def instrumented(self) -> InstrumentedModel:
         """Build the nominal model with its sensors and the prior standard deviations of its parameters."""
-        drawn, samples = self.drawn, self.processing
-        floors = tuple(s.floor for s in self.floor_sensors if s.floor is not None)
+        drawn, samples, structure = self.drawn, self.processing, self.drawn.structure()
+        floors: tuple[int | str, ...] = tuple(s.floor for s in self.floor_sensors if s.floor is not None)
+        rows = None
+        if isinstance(structure, Building):
+            on = self.floor_sensors
+            rows = np.array(
+                [structure.sensor_row(s.floor or 1, "y" if s.axis == "y" else "x", s.position_m) for s in on]
+            )
+            places = zip(floors, (s.axis or "x" for s in on), (s.position_m for s in on), strict=True)
+            floors = tuple(f"{floor} along {axis} at {x:g}, {y:g} m" for floor, axis, (x, y) in places)
         return InstrumentedModel(
             self.model(),
             self.channels,
@@ -406,7 +450,15 @@ class Configuration(Settings):
             kind=drawn.kind,
             rate_hz=samples.rate_hz,
             cutoff_hz=samples.cutoff_hz,
+            rows=rows,
+            boxes=self._boxes(),
         )
+
+    def _boxes(self) -> tuple[tuple[int, int], ...]:
+        """Find the channels along x and along y at one place of a building."""
+        at = {(s.floor, s.position_m, s.axis or "x"): i for i, s in enumerate(self.floor_sensors)}
+        pairs = [(i, at.get((floor, place, "y"))) for (floor, place, axis), i in at.items() if axis == "x"]
+        return tuple((x, y) for x, y in pairs if y is not None)
 
 
 def _twice(names: Iterable[str]) -> list[str]:

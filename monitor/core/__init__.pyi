@@ -27,7 +27,13 @@ from .files import (
     write_atomically as write_atomically,
 )
 from .memory import keep_freed as keep_freed
-from .naming import name_stories as name_stories, name_stories_in as name_stories_in
+from .naming import (
+    DIRECTION_WORDS as DIRECTION_WORDS,
+    floor_name as floor_name,
+    name_stories as name_stories,
+    name_stories_in as name_stories_in,
+    storey_of as storey_of,
+)
 from .optimization import levenberg_marquardt as levenberg_marquardt
 from .parallel import parallel_map as parallel_map
 from .parse import parse_address as parse_address, parse_json as parse_json, utc as utc, utc_ns as utc_ns

@@ -114,7 +114,8 @@ def from_plain(hint: Any, tree: Any, array: Arrays, place: str = "", lengths: di
     if origin in (Union, types.UnionType):
         if tree is None and type(None) in arguments:
             return None
-        (kind,) = (a for a in arguments if a is not type(None))
+        kinds = [a for a in arguments if a is not type(None)]
+        kind = next((a for a in kinds if a is type(tree)), kinds[0])  # a number or a name
         return from_plain(Annotated[kind, *notes] if notes else kind, tree, array, place, lengths)
     if hint is np.ndarray or origin is np.ndarray:
         return array(tree, tuple(notes), place, lengths)

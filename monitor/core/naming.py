@@ -7,6 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 _STORY = re.compile(r"\b(story) (\d+)\b(?! \()", re.IGNORECASE)
+_PLACE = re.compile(r"\b(storey|floor) (\d+) (x|y|torsion)\b", re.IGNORECASE)
+DIRECTION_WORDS = {"x": "along x", "y": "along y", "torsion": "in torsion"}
+"""Directions of a building's storeys and floors, in words. [words]"""
+_STOREY = re.compile(rf"storey (\d+) \(.*\), ({'|'.join(DIRECTION_WORDS.values())})")
 _SENTENCES = frozenset({"says", "separating_measurement", "headline", "reason"})
 """Keys whose values are sentences."""
 
@@ -15,12 +19,14 @@ def name_stories(text: str, names: Sequence[str]) -> str:
     """Put the names of the stories, from the first one on, into a finished sentence.
 
     ``story 3`` becomes ``story 3 (girder)``, as people call it; nothing changes where there are no names.  A name of another
-    form, as ``mode 3``, takes the place of ``story 3``.
+    form, as ``mode 3``, takes the place of ``story 3``.  The places of a building, as ``storey 2 y``, are put into words.
 
     Examples
     --------
     >>> name_stories("Story 2 lost 10 %, story 1 nothing.", ["story 1", "story 2 (left bearing)"])
     'Story 2 (left bearing) lost 10 %, story 1 nothing.'
+    >>> name_stories("storey 1 y is softer", ["storey 1 (ground to 1st floor), along y"])
+    'storey 1 (ground to 1st floor), along y is softer'
     """
 
     def named(match: re.Match[str]) -> str:
@@ -28,9 +34,44 @@ def name_stories(text: str, names: Sequence[str]) -> str:
         if not 1 <= j <= len(names):
             return match[0]
         name = names[j - 1]
-        return match[1] + name.removeprefix("story") if name.startswith("story") else name
+        if name.startswith("story"):
+            return match[1] + name.removeprefix("story")
+        return name[0].upper() + name[1:] if match[1][0].isupper() else name
 
-    return _STORY.sub(named, text)
+    def placed(match: re.Match[str]) -> str:
+        kind, number, direction = match[1], match[2], DIRECTION_WORDS[match[3]]
+        ends = f"storey {number} (", f"), {direction}"
+        own = (name for name in names if name.startswith(ends[0]) and name.endswith(ends[1]))
+        name = next(own, "") if kind.lower() == "storey" else ""
+        return kind + name.removeprefix("storey") if name else f"{kind} {number}, {direction}"
+
+    return _PLACE.sub(placed, _STORY.sub(named, text))
+
+
+def storey_of(name: str) -> tuple[int, str] | None:
+    """Return the number of a building's storey and its direction by its name; None for a story or a mode.
+
+    Examples
+    --------
+    >>> storey_of("storey 2 (1st to 2nd floor), along y"), storey_of("story 2 (girder)")
+    ((2, 'y'), None)
+    """
+    match = _STOREY.fullmatch(name)
+    return (
+        None if match is None else (int(match[1]), next(d for d, words in DIRECTION_WORDS.items() if words == match[2]))
+    )
+
+
+def floor_name(floor: int) -> str:
+    """Return the number of a floor above the ground as people say it.
+
+    Examples
+    --------
+    >>> [floor_name(j) for j in (1, 2, 3, 4, 11, 21)]
+    ['1st', '2nd', '3rd', '4th', '11th', '21st']
+    """
+    ending = "th" if floor % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(floor % 10, "th")
+    return f"{floor}{ending}"
 
 
 def name_stories_in(content: Any, names: Sequence[str]) -> Any:

@@ -496,7 +496,8 @@ class Alarm:
 
     level: Level
     stories: tuple[int, ...]
-    """Story numbers from 1 at this level; empty if only the structure as a whole, or no story, is at it."""
+    """Story numbers from 1 at this level, of a building those of its storeys; empty if only the structure as a whole, or no
+    story, is at it."""
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
     """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`.  Without a model the
@@ -504,6 +505,8 @@ class Alarm:
     the features, then of all together."""
     conditions: dict[int, AlarmCondition] = field(default_factory=dict)
     """Condition of every alarm that is not normal, including shelved alarms."""
+    directions: tuple[str, ...] | None = None
+    """Direction of each of `stories` of a building; None elsewhere."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

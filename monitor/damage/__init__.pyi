@@ -44,6 +44,7 @@ from .feature_change import (
     FeatureTable as FeatureTable,
     judge_features as judge_features,
 )
+from .foreseen import what_sensors_see as what_sensors_see
 from .healthy_series import LAGS_H as LAGS_H, FeatureModel as FeatureModel
 from .judge import Memory as Memory
 from .level import drift_m as drift_m, level_db as level_db
@@ -54,6 +55,7 @@ from .parts import (
     TOGETHER as TOGETHER,
     Features as Features,
     Parts as Parts,
+    located as located,
     modal_parts as modal_parts,
 )
 from .presence import Presence as Presence, Sighting as Sighting, learn_presence as learn_presence

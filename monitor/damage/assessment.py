@@ -21,6 +21,7 @@ from monitor.core import (
     WHOLE,
     Level,
     Skipped,
+    storey_of,
     utc,
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
@@ -368,7 +369,7 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
             says = _since(loss, level, course, known)
         else:
             says = f"{_lost(loss, known)}, until {utc(loss.t_last_ns)} UTC"
-        said = (diagnosis_of(loss, findings) or "").rstrip(".")
+        said = (diagnosis_of(loss, findings, known.names) or "").rstrip(".")
         diagnosis = f"; diagnosis: {said[:1].lower()}{said[1:]}" if said else ""
         alone = ALONE.get(_name(loss.story, known), "") if len(losses) == 1 else ""
         facts.append((State(level.value), _sentence(says + alone + diagnosis)))
@@ -411,17 +412,19 @@ def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[F
     ]
 
 
-def diagnosis_of(loss: Loss, findings: Iterable[Mapping[str, Any]]) -> str | None:
-    """Return the sentence of the first diagnosis that concerns an alarm; None without one."""
-    return next((str(f["says"]) for f in findings if f.get("says") and _concerns(f, loss)), None)
+def diagnosis_of(loss: Loss, findings: Iterable[Mapping[str, Any]], names: Sequence[str] = ()) -> str | None:
+    """Return the sentence of the first diagnosis that concerns an alarm of one of the parts `names`; None without one."""
+    return next((str(f["says"]) for f in findings if f.get("says") and _concerns(f, loss, names)), None)
 
 
-def _concerns(finding: Mapping[str, Any], loss: Loss) -> bool:
+def _concerns(finding: Mapping[str, Any], loss: Loss, names: Sequence[str]) -> bool:
     """Decide if a diagnosis used data of an alarm's time, and speaks of the alarm's story or of no story's stiffness."""
     if not (loss.t_first_ns <= finding["t_ns"] and (loss.t_last_ns is None or finding["from_ns"] <= loss.t_last_ns)):
         return False
     places = {str(c["location"]) for c in finding.get("causes") or [] if _is_loss(c)}
-    return loss.story == WHOLE or not places or not places.isdisjoint({f"story {loss.story}", "frame"})
+    place = storey_of(names[loss.story - 1]) if 0 < loss.story <= len(names) else None
+    own = f"story {loss.story}" if place is None else "storey {} {}".format(*place)
+    return loss.story == WHOLE or not places or not places.isdisjoint({own, "frame"})
 
 
 def _doubts(
@@ -472,7 +475,7 @@ def _unalarmed(course: Course, findings: Sequence[Mapping[str, Any]], known: Kno
         for f in findings
         if f.get("verdict") == "named" and not is_open(f, known)
         if any(_is_loss(c) and (c["effect"], c["location"]) not in known.accepted for c in f.get("causes") or [])
-        if not any(_concerns(f, loss) for loss in course.losses)
+        if not any(_concerns(f, loss, known.names) for loss in course.losses)
     ]
 
 

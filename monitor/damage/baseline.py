@@ -118,7 +118,7 @@ class Baseline(HealthyModes):
     model_mode: tuple[int, ...]
     """Numbers of the healthy modes in `model` (0 = lowest), in the order of `z`."""
     log: bool
-    floors: tuple[int, ...]
+    floors: tuple[int | str, ...]
     """Floor of each channel."""
     drift_weights: Annotated[Array, "c c"] | None = None
     """How the level that the law was learned at was measured (`level.drift_weights`), s^4."""

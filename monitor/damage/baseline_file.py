@@ -49,7 +49,7 @@ class _Model:
     """Parameters of the updated model, from which the structure file's model becomes the baseline's."""
 
     stiffness_n_per_m: Annotated[Array, "p", 0.0]
-    masses_kg: Annotated[Array, "n", 0.0]
+    masses_kg: Annotated[Array, "b", 0.0]
     stiffness_correction_n_per_m: Annotated[Array, "n n"] | None
     """As known at calibration: one that a diagnosis added later is contained in `misfit` already."""
 
@@ -60,7 +60,7 @@ class _Drawn:
 
     origin: Origin
     channels: tuple[str, ...]
-    floors: tuple[int, ...]
+    floors: tuple[int | str, ...]
     log: bool
     gauges: tuple[int, ...]
 
@@ -206,8 +206,9 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
     """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit."""
     model, channels = instrumented.model, instrumented.channels
     n, p, m, c = model.structure.n_dofs, model.structure.n_stories, len(tree["model_mode"]), len(channels)
+    b = model.structure.n_masses
     model_keys = [f.name for f in fields(_Model)]
-    own = decode(_Model, {name: tree[name] for name in model_keys}, n=n, p=p)
+    own = decode(_Model, {name: tree[name] for name in model_keys}, n=n, b=b, p=p)
     drawn = replace(model, correction=own.stiffness_correction_n_per_m)
     built = decode(
         Baseline,
@@ -220,7 +221,7 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
             "doubts": (),
         },
         beside=("format", *model_keys),
-        theta=p + n,
+        theta=p + b,
         d=m + len(tree["gauges"]) * (c - 1),
         m=m,
         c=c,

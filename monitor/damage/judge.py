@@ -28,7 +28,7 @@ from monitor.damage.common_change import Beside as BesideOthers
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
 from monitor.damage.detectable_loss import smallest_detectable_loss
-from monitor.damage.parts import ALONE, SPECTRUM, Parts, change_words
+from monitor.damage.parts import ALONE, SPECTRUM, Parts, change_words, located
 from monitor.damage.presence import Beside, Sighting
 from monitor.damage.quantities import Covariates, Found, JudgeSettings, Quantities, View, explained
 from monitor.damage.slow_learning import LearningState
@@ -161,7 +161,7 @@ def _with_words(verdict: Alarm, more: Beside, parts: Parts) -> Alarm:
 
 def _named(verdict: Alarm, quantities: Quantities) -> Alarm:
     """Put the names of the stories into the reason."""
-    return replace(verdict, reason=name_stories(verdict.reason, quantities.names))
+    return located(replace(verdict, reason=name_stories(verdict.reason, quantities.names)), quantities.names)
 
 
 def _beyond(

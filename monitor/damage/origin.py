@@ -27,7 +27,7 @@ class Origin:
     name: str
     kind: str
     masses_kg: tuple[Annotated[float, 0.0], ...]
-    """As drawn, one for each degree of freedom."""
+    """As drawn."""
     stiffness_n_per_m: tuple[Annotated[float, 0.0], ...]
     """As drawn, one for each story."""
     fingerprint: str
@@ -104,7 +104,7 @@ def matrices_fingerprint(*matrices: Array) -> str:
     return checksum.hexdigest()
 
 
-def sensor_differences(channels: tuple[str, ...], floors: tuple[int, ...], here: InstrumentedModel) -> list[str]:
+def sensor_differences(channels: tuple[str, ...], floors: tuple[int | str, ...], here: InstrumentedModel) -> list[str]:
     """List the differences between a baseline's sensors and those here."""
     there, now = dict(zip(channels, floors, strict=True)), dict(zip(here.channels, here.floors, strict=True))
     says = [f"channel {c} (floor {floor}) is there and not here" for c, floor in there.items() if c not in now]
@@ -120,11 +120,11 @@ def sensor_differences(channels: tuple[str, ...], floors: tuple[int, ...], here:
 
 
 def number_differences(n_masses: int, n_stiffnesses: int, here: InstrumentedModel) -> list[str]:
-    """Compare the numbers of degrees of freedom and of stories."""
-    n, p = here.model.structure.n_dofs, here.model.structure.n_stories
-    if (n_masses, n_stiffnesses) == (n, p):
+    """Compare the numbers of masses and of stories."""
+    b, p = here.model.structure.n_masses, here.model.structure.n_stories
+    if (n_masses, n_stiffnesses) == (b, p):
         return []
-    return [f"it has {n_masses} masses and {n_stiffnesses} stiffnesses there, {n} and {p} here"]
+    return [f"it has {n_masses} masses and {n_stiffnesses} stiffnesses there, {b} and {p} here"]
 
 
 def _value_differences(sentence: str, there: Sequence[float], here: Sequence[float]) -> list[str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from typing_extensions import override
 
-from monitor.core import ModalReading, Reading
+from monitor.core import Alarm, ModalReading, Reading, storey_of
 
 _CAUSES = "(weather, mass, clock or stiffness)"
 """What all parts may have changed alike by. [words]"""
@@ -129,6 +130,14 @@ ALONE = {SPECTRUM: "; no mode's change tells how", TOGETHER: "; none by itself a
 """Parts that change by no size, and what is said of them where nothing else changed. [words]"""
 STORIES = Parts()
 """The stories of a structure with a model. [none; definition]"""
+
+
+def located(alarm: Alarm, names: Sequence[str]) -> Alarm:
+    """Tell a building's storeys and their directions in place of the parts' numbers, by the parts' names; else as it is."""
+    if not names or storey_of(names[0]) is None:
+        return alarm
+    places = [place for j in alarm.stories if (place := storey_of(names[j - 1])) is not None]
+    return replace(alarm, stories=tuple(n for n, _ in places), directions=tuple(d for _, d in places))
 
 
 def modal_parts(n_modes: int) -> tuple[str, ...]:

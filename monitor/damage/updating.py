@@ -395,7 +395,8 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
 
     The solution is by Cholesky if no pivot is too small, else the least-squares solution of minimum norm.
     """
-    scale = 1.0 / np.sqrt(normal.diagonal())
+    diagonal = normal.diagonal()
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))  # zero: a parameter that no datum shows
     scaled, wanted = normal * scale[:, None] * scale, scale[:, None] * right
     factor, solution, failed = lapack.dposv(scaled, wanted)
     if failed or factor.diagonal().min() ** 2 < _ROUNDED_TO_0:

@@ -42,7 +42,7 @@ def _backbone(posterior: Posterior, fit: MapEstimate) -> list[tuple[float, float
     in_band = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
     w = 2.0 * np.pi * e.band.hz[in_band]
     inputs = drive.measured(e.band)[:, in_band]
-    rigid = to_mode @ sensors.sum(axis=1) * (inputs @ drive.rides)
+    rigid = to_mode @ sensors @ posterior.context.structure.rides * (inputs @ drive.rides)
     forced = inputs @ (shape @ drive.forces(system)[: shape.size])
     rows = []
     for s in drive.located:

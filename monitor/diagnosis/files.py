@@ -19,7 +19,7 @@ from monitor.diagnosis.story_forces import StoryLaw
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.diagnosis.witness import NOT_DETERMINED
 from monitor.inference import Segments
-from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
+from monitor.model import FORMS, Building, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
 
 def content(
@@ -171,12 +171,12 @@ def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
     ValueError, KeyError, TypeError
         If the content is no model of this structure.
     """
-    n, p = drawn.structure.n_dofs, drawn.structure.n_stories
+    n, b, p = drawn.structure.n_dofs, drawn.structure.n_masses, drawn.structure.n_stories
 
     def array(name: str, *shape: int) -> Array | None:
         return None if content[name] is None else np.array(content[name], dtype=float).reshape(shape)
 
-    stiffness, masses = array("stiffness_n_per_m", p), array("masses_kg", n)
+    stiffness, masses = array("stiffness_n_per_m", p), array("masses_kg", b)
     if stiffness is None or masses is None:
         raise ValueError("no stiffnesses or no masses")
     return replace(
@@ -195,13 +195,18 @@ def structure_text(text: str, model: Model, reference_degc: float | None = None)
     document = tomlkit.parse(text)
     table: Any = document["structure"]
     structure = model.structure
-    table["stiffness_n_per_m"] = _plain(structure.stiffness_n_per_m)
+    if isinstance(structure, Building):
+        for key, values in structure.storey_values().items():
+            for storey, value in zip(document["storeys"], _plain(values), strict=True):
+                storey[key] = value
+    else:
+        table["stiffness_n_per_m"] = _plain(structure.stiffness_n_per_m)
     if isinstance(structure, MatrixStructure):
         # As numbers, not as names of files, which would be looked for beside the new file.
         table["mass_matrix"] = _plain(structure.mass_matrix())
         table["stiffness_matrix"] = _plain(structure.stiffness_matrix())
         table["stiffness_derivatives"] = _plain(structure.stiffness_derivatives())
-    else:
+    elif not isinstance(structure, Building):
         table["masses_kg"] = _plain(structure.masses_kg)
     if model.modal_damping is not None:
         table["modal_damping_ratio"] = _plain(model.modal_damping)

@@ -38,7 +38,7 @@ from monitor.inference import (
     require_finite,
     tried,
 )
-from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
+from monitor.model import EFFECTS, Effect, ExtraMode, Peak
 
 _RESOLUTION_BINS = 2.0
 """Distance of two peaks that the segments resolve. [bins; half-width of the taper's main lobe]"""
@@ -127,7 +127,7 @@ def as_seen(
 def effects_at_peak(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Effect]:
     """List the effects that a peak which the model lacks may have as its cause, at their first sizes."""
     context = posterior.context
-    places = ((kind, place) for kind in EFFECTS.values() for of in kind.places for place in locations(of, context))
+    places = ((kind, place) for kind in EFFECTS.values() for place in kind.places_in(context))
     near = (at_peak(kind, place, peak, posterior) for kind, place in places)
     found = [_scaled_to_peak(posterior, fit, effect, peak) for effect in near if effect is not None]
     return found + [c for c in (effect.coupled(context) for effect in found) if c is not None]

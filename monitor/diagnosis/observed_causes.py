@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from monitor.diagnosis.plan import plan_of
 from monitor.diagnosis.verdict import Cause, Diagnosis
-from monitor.model import EFFECTS, locations
+from monitor.model import EFFECTS
 
 
 def add_observed_causes(diagnosis: Diagnosis) -> Diagnosis:
@@ -20,7 +20,7 @@ def add_observed_causes(diagnosis: Diagnosis) -> Diagnosis:
     known = {(e.name, e.location) for e in posterior.prior.model.effects}
     found = []
     for kind in (kind for kind in EFFECTS.values() if kind.stationary_only and not plan.tries(kind)):
-        for place in (p for k in kind.places for p in locations(k, context) if (kind.name, p) not in known):
+        for place in (p for p in kind.places_in(context) if (kind.name, p) not in known):
             for start in kind.starts(place, context, condition)[:1]:
                 coordinates, precision = start.known(context, condition)
                 if (precision > 0.0).all():

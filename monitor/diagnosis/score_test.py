@@ -24,7 +24,7 @@ from monitor.inference import (
     tried,
     unfitted,
 )
-from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
+from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse
 
 _log = logging.getLogger(__name__)
 
@@ -117,7 +117,7 @@ def candidate_starts(posterior: Posterior, null_fit: MapEstimate, excluded: Iter
     skip, peaks = set(excluded), find_excess_peaks(posterior, null_fit)
     out: list[Effect] = []
     for kind in filter(plan_of(posterior).tries, EFFECTS.values()):
-        for place in (p for k in kind.places for p in locations(k, context)):
+        for place in kind.places_in(context):
             if kind.repeatable or ((kind.name, place) not in skip and not (kind.nonlinear and place in occupied)):
                 out += kind.starts(place, context, typical)
                 out += filter(None, (at_peak(kind, place, peak, posterior) for peak in peaks))

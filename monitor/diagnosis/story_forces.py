@@ -121,7 +121,7 @@ def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: Channel
     mass, pushed = system.mass[:n, :n], drive.forces(system)[:n] * (1.0 - drive.rides)
     drifts = context.structure.drift_matrix()
     acting = inputs @ pushed.T - floors @ mass.T
-    relative = floors - (inputs @ drive.rides)[..., None]
+    relative = floors - (inputs @ drive.rides)[..., None] * context.structure.rides
     displaced = relative / -((2.0 * np.pi * hz[:, None]) ** 2)
     return np.asarray(acting @ np.linalg.inv(drifts)), np.asarray(displaced @ drifts.T)
 

@@ -17,7 +17,7 @@ from monitor.core import Array, ComplexArray, encode
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.story_forces import true_motion
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
-from monitor.model import Condition, Context, Model, ShearFrame, interval
+from monitor.model import Condition, Context, MatrixStructure, Model, ShearFrame, interval
 from monitor.signals import MAIN_LOBE_BINS
 
 _SEGMENT_PERIODS = 20.0
@@ -140,7 +140,8 @@ class _Comparison:
         if sensor.channel in self.data.still:
             return Witness.silent(sensor, "it does not move")
         is_frame = isinstance(self.structure, ShearFrame)
-        if sensor.turns and (sensor.axis == "y" if is_frame else sensor.floor > 0):
+        is_dof = isinstance(self.structure, MatrixStructure) and sensor.floor > 0
+        if sensor.turns and (sensor.axis == "y" if is_frame else is_dof):
             if is_frame and self.structure.story_heights_m is None:
                 return Witness.silent(sensor, "angles of joints and columns need story_heights_m in the structure file")
             return self._judge_rotation_in_modes(sensor)

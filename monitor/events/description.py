@@ -16,6 +16,7 @@ from monitor.events.limits import judge
 from monitor.events.motion import (
     floor_motion,
     instrumental_intensity,
+    integrated,
     modal_frequencies,
     peak_drifts,
     response_spectrum,
@@ -58,7 +59,7 @@ def describe(
     )
     ground = None if record.ground is None else floor_motion("ground", record.ground, rate_hz, corner_hz, strong)
     intensity = None if ground is None else instrumental_intensity(ground.peak_m_s2, ground.peak_m_s)
-    heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
+    heights = np.full(len(site.drifts), np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
     loss, loss_std = np.full((2, site.n_stories), np.nan)
@@ -98,6 +99,7 @@ def describe(
             verdict=None,
             saturated=cut_off,
             cut=cut,
+            drift_corner_m=corner_drifts(record, site, corner_hz),
             note="; ".join(filter(None, notes)),
         ),
         site,
@@ -113,9 +115,9 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
     floor has no sensor and the ground is measured, model and ground tell what the sensors do not (`expansion`).
     """
     live = ~record.still
-    n, sensors = site.n_stories, site.sensors[live]
+    n, sensors = len(site.drifts), site.sensors[live]
     drift, std, corner_hz = np.full(n, np.nan), np.full(n, np.nan), float(record.corners_hz[0])
-    if not site.is_chain:
+    if not site.tells_drifts:
         known = (
             "the structure's stiffnesses are no stories" if n else "nothing is known of the structure but its channels"
         )
@@ -127,13 +129,15 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
     if told.all():
         return drift, std, corner_hz, note
-    if record.ground is not None and live.all() and site.damping.size:
+    if record.ground is not None and live.all() and site.damping.size and site.is_chain:
         # The file states the sensors; one that fails in the motion may do so where the structure does.
         drift[rest], std[rest] = (values[rest] for values in expanded_drifts(record, site))
         gone = ", ".join(compress(site.names, rest))
         limits = f"without a sensor on every floor the model and the ground tell those of {gone}"
     elif np.linalg.matrix_rank(sensors) < sensors.shape[1]:
         limits = "without a sensor on every floor, or without a measured ground, some are not known"
+    elif not site.is_chain:
+        limits = "without a measured ground along each axis those of the lowest storey are not known"
     elif not told.any():
         limits = "without a measured ground the drift of the one story is not known"
     else:
@@ -145,20 +149,33 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
     return drift, std, corner_hz, f"{note}; {limits}"
 
 
+def corner_drifts(record: Record, site: Site, corner_hz: float) -> Annotated[Array, "n"]:
+    """Compute the largest drift of each storey at the corners of its plan, m; NaN where no sensors tell, else empty."""
+    if not site.corners.size:
+        return np.zeros(0)
+    told, weights = _weights(record, site, site.corners)
+    accelerations = relative_motion(record, site)[:, ~record.still] @ weights
+    moved = integrated(accelerations, record.rate_hz, corner_hz, 2)[record.strong].reshape(-1, len(told) // 8, 4, 2)
+    largest = np.sqrt((moved**2).sum(axis=3)).max(axis=(0, 2))
+    return np.asarray(np.where(told.reshape(-1, 8).all(axis=1), largest, np.nan))
+
+
 def drift_accelerations(
     record: Record, site: Site
 ) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "samples told"]]:
     """Find the stories both floors of which sensors move as, and compute the accelerations of these stories' drifts, m/s^2."""
-    told, weights = _weights(record, site)
+    told, weights = _weights(record, site, site.drifts)
     return told, relative_motion(record, site)[:, ~record.still] @ weights[:, told]
 
 
-def _weights(record: Record, site: Site) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "c n"]]:
-    """Find the stories whose drift sensors tell, and the weights on the live channels that give it."""
+def _weights(
+    record: Record, site: Site, drifts: Annotated[Array, "n floors"]
+) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "c n"]]:
+    """Find the drifts that sensors tell, and the weights on the live channels that give them."""
     sensors, rides = site.sensors[~record.still], site.rides[~record.still]
     # Without a ground they must not move with it.
-    weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
-    exact = np.abs(sensors.T @ weights - site.drifts.T).max(axis=0) < _UNRELATED
+    weights, *_ = np.linalg.lstsq(sensors.T, drifts.T, rcond=None)
+    exact = np.abs(sensors.T @ weights - drifts.T).max(axis=0) < _UNRELATED
     rigid = np.abs(rides @ weights) < _UNRELATED
     return np.asarray(exact & (rigid | (record.ground is not None))), np.asarray(weights)
 
@@ -167,7 +184,7 @@ def _made_of(
     channels: Annotated[NDArray[np.bool_], "c"], record: Record, site: Site
 ) -> Annotated[NDArray[np.bool_], "n"]:
     """Find the stories whose drift some of the channels enter: by the model all of them enter every drift."""
-    told, weights = _weights(record, site)
+    told, weights = _weights(record, site, site.drifts)
     entering = np.abs(weights[channels[~record.still]]).max(axis=0, initial=0.0) > _UNRELATED
     return np.asarray(np.where(told, entering, channels.any()))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -85,6 +85,8 @@ class Event:
     """Whether the motion began before its samples, or they end amid it: peaks and drifts are lower bounds."""
     note: str = ""
     """What limits these figures, in words."""
+    drift_corner_m: Annotated[Array, "k"] = field(default_factory=lambda: np.zeros(0))
+    """Largest drift of each storey of a building at the corners of its plan; empty elsewhere."""
 
     @property
     def is_bound(self) -> Annotated[NDArray[np.bool_], "n"]:

@@ -29,7 +29,7 @@ def expanded_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], 
     rate_hz, everything = record.rate_hz, np.ones(len(site.channels), dtype=bool)
     floors = _floors(record, site, everything)
     drift, std, _ = peak_drifts(floors @ site.drifts.T, rate_hz, record.corners_hz, record.strong)
-    corner_hz, wrong, changed = float(record.corners_hz[0]), 0.0, np.zeros(site.n_stories)
+    corner_hz, wrong, changed = float(record.corners_hz[0]), 0.0, np.zeros(len(site.drifts))
     measured = relative_motion(record, site)
     for left_out in range(len(everything)):
         others = everything.copy()

@@ -170,11 +170,11 @@ def _cut_to_ground(
 
 def _review(record: Record, site: Site, corner_hz: float, lost: Array, gaps: int) -> Review:
     """Compute drifts, forces, energy and the first mode from an event's samples."""
-    n = site.n_stories
+    n = len(site.drifts)
     rate_hz, strong = record.rate_hz, record.strong
     # Acceleration, velocity and displacement of the drifts.
     moved = np.full((3, len(record.floors), n), np.nan)
-    if site.is_chain:
+    if site.tells_drifts:
         told, accelerations = drift_accelerations(record, site)
         for times in range(3):
             moved[times][:, told] = integrated(accelerations, rate_hz, corner_hz, times)

@@ -9,7 +9,7 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.events.settings import EventSettings
-from monitor.model import InstrumentedModel, Modes, ShearFrame
+from monitor.model import Building, InstrumentedModel, Modes, ShearFrame
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -20,8 +20,8 @@ class Site:
     sensors: Annotated[Array, "c floors"]
     """From the floors' motion to the channels."""
     drifts: Annotated[Array, "n floors"]
-    """From the floors' displacement to the stories' drifts."""
-    stiffness_n_per_m: Annotated[Array, "n"]
+    """From the floors' displacement to the stories' drifts; of a building those along x and y, at the centre of stiffness."""
+    stiffness_n_per_m: Annotated[Array, "p"]
     masses_kg: Annotated[Array, "floors"]
     is_chain: bool
     """Whether each story carries the inertia of the floors above it alone."""
@@ -31,7 +31,7 @@ class Site:
     shapes: Annotated[Array, "m c"]
     """The model's shapes on the channels."""
     names: tuple[str, ...]
-    """Names of the stories."""
+    """Names of the stories, or of a building's stiffnesses."""
     window_s: float
     """Length of the windows of ambient motion."""
     settings: EventSettings
@@ -41,20 +41,29 @@ class Site:
     """The model's shapes at the floors, with unit modal mass; empty where they are not known."""
     damping: Annotated[Array, "m"] = field(default_factory=lambda: np.zeros(0))
     """The model's damping ratios."""
+    floor_rides: Annotated[Array, "floors"] = field(default_factory=lambda: np.zeros(0))
+    """Share of the ground's motion that each degree of freedom has; empty for all of it."""
+    corners: Annotated[Array, "q floors"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """From the floors' displacement to the drifts along x and y at the corners of the plan, of a building: 8 rows a storey."""
 
     @classmethod
     def of(cls, site: InstrumentedModel, names: tuple[str, ...], window_s: float, settings: EventSettings) -> Site:
         """Collect what is needed from a model with its sensors."""
         structure, modes = site.model.structure, site.model.modes()
-        sensors = site.sensor_matrix
+        sensors, drifts, corners = site.sensor_matrix, structure.drift_matrix(), np.zeros((0, 0))
+        heights = structure.heights_m if isinstance(structure, Building) else structure.story_heights_m
+        if isinstance(structure, Building):
+            sways = [j for j, place in enumerate(structure.story_places) if not place.endswith("torsion")]
+            drifts, corners = drifts[sways], structure.corner_drifts()
+            heights = np.tile(heights, len(sways) // structure.n_masses) if heights is not None else None
         return cls(
             site.channels,
             sensors,
-            structure.drift_matrix(),
+            drifts,
             structure.stiffness_n_per_m,
-            structure.masses_kg,
+            structure.inertia_kg,
             isinstance(structure, ShearFrame),
-            structure.story_heights_m,
+            heights,
             modes.frequencies_hz,
             (sensors @ modes.shapes).T,
             names,
@@ -63,6 +72,8 @@ class Site:
             float(modes.frequencies_hz[0]),
             modes.shapes,
             site.model.damping_ratios(),
+            structure.rides,
+            corners,
         )
 
     def content(self) -> dict[str, Any]:
@@ -76,7 +87,7 @@ class Site:
         """Make a site of its content (`content`)."""
         known = dict(content)
         arrays = ("sensors", "drifts", "stiffness_n_per_m", "masses_kg", "heights_m", "modes_hz", "shapes")
-        for name in (*arrays, "floor_shapes", "damping"):
+        for name in (*arrays, "floor_shapes", "damping", "floor_rides", "corners"):
             known[name] = None if known[name] is None else np.array(known[name], dtype=float)
         names = {name: tuple(known[name]) for name in ("channels", "names")}
         return cls(**known | names | {"settings": EventSettings.model_validate(known["settings"])})
@@ -98,10 +109,16 @@ class Site:
 
     @property
     def n_stories(self) -> int:
-        """Number of stories."""
-        return len(self.drifts)
+        """Number of stories, whose stiffness is judged."""
+        return self.stiffness_n_per_m.size
+
+    @property
+    def tells_drifts(self) -> bool:
+        """Whether stories have drifts: of a chain, or of a building."""
+        return self.is_chain or bool(self.corners.size)
 
     @property
     def rides(self) -> Annotated[Array, "c"]:
         """Share of a rigid motion that each channel has."""
-        return np.asarray(self.sensors.sum(axis=1))
+        floors = self.floor_rides if self.floor_rides.size else np.ones(self.sensors.shape[1])
+        return np.asarray(self.sensors @ floors)

@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectrum
 from monitor.inference.trial import require_finite
-from monitor.model import Condition, Context, Effect, ExtraMode, System
+from monitor.model import Condition, Context, Effect, ExtraMode, System, place_index
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 T = TypeVar("T")
@@ -157,7 +157,7 @@ def line_spectra(
     spectra = np.zeros((band.n_bins, c, c), dtype=complex)
     for line in (line for effect in effects for line in effect.lines()):
         at = np.array([line.frequency_hz / clock])
-        y = seen(system, effects, at, context, condition)[0, :, line.floor]
+        y = seen(system, effects, at, context, condition)[0, :, place_index(line.location, context.structure)]
         offset = (band.hz - at) / band.bin_hz
         power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
         spectra += power[:, None, None] * np.outer(y, y.conj())
@@ -226,20 +226,28 @@ def _observed(system: System, context: Context) -> tuple[Array, ...]:
     """List the arrays of a system and of its channels, see `_response`."""
     n = context.structure.n_dofs
     columns = np.insert(system.forced(n), n, -system.inertia, axis=1)
-    return system.mass, system.damping, system.stiffness, columns, system.sensors(context.sensors), context.sensors
+    own = context.sensors, context.structure.rides
+    return system.mass, system.damping, system.stiffness, columns, system.sensors(context.sensors), *own
 
 
 def _response(
-    hz: Array, mass: Array, damping: Array, stiffness: Array, columns: Array, sensors: Array, of_floors: Array
+    hz: Array,
+    mass: Array,
+    damping: Array,
+    stiffness: Array,
+    columns: Array,
+    sensors: Array,
+    of_floors: Array,
+    rides: Array,
 ) -> ComplexArray:
     """Compute `channel_response`; the ground's column is that after the n floors'.
 
-    `columns` are the forces on the degrees of freedom, `sensors` the shares of these in every channel, and `of_floors` those of
-    the floors alone, which sum up to that of the ground's own acceleration.
+    `columns` are the forces on the degrees of freedom, `sensors` the shares of these in every channel, `of_floors` those of the
+    floors alone, and `rides` the share of the ground's own acceleration that each of the floors has.
     """
     floors = _floor_response(mass, damping, stiffness, columns, hz)
     shares = np.ascontiguousarray(sensors, dtype=float)
-    return np.asarray(_at_sensors(floors, shares, of_floors.shape[1], of_floors.sum(axis=1)))
+    return np.asarray(_at_sensors(floors, shares, rides.size, of_floors @ rides))
 
 
 def _kept(compute: Callable[..., T]) -> Callable[..., T]:
@@ -267,7 +275,7 @@ def _integrated_products(
     The classes of a recording differ by the density of the forces alone, which weights these products.  The first result is over
     all frequencies, the second over those above `band_hz`.  `colour` is the factor on the forces' density at `_integration_hz`.
     """
-    hz, n = _integration_hz(rate_hz), observed[-1].shape[1]
+    hz, n = _integration_hz(rate_hz), observed[-1].size
     answer = _response(hz, *observed).transpose(1, 2, 0)
     weight = 2.0 * hz * np.gradient(np.log(hz))
     forced, coloured = answer[:, :n], weight * colour

@@ -14,7 +14,7 @@ from monitor.inference.arrays import Spectra, Spectrum, Transforms, mean_product
 from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density, noise_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
-from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
+from monitor.model import Context, Effect, LawKind, channel_motion, driven, own_forces, with_own_forces
 from monitor.signals import taper
 
 _STEPS_A_PERIOD = 14
@@ -83,8 +83,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     rng = np.random.default_rng(seed)
     root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
     floors = _limit_band(root * rng.standard_normal(root.shape), e.band, rate)
-    for effect in effects:
-        floors = effect.drive(floors, rate)
+    floors = driven(effects, floors, rate, context.structure)
     model = posterior.model(x, effects)
     own = _limit_band(own_forces(model, np.sqrt((root**2).mean(axis=1)), rate, rng), e.band, rate)
     share = sum(effect.ground_share for effect in effects)

@@ -69,9 +69,8 @@ def fit_excitation(
     the stated stiffnesses; None for the recording's mean.  Returned are the posterior at the fitted motion, and the fitted
     nuisances.
     """
-    n, c = context.structure.n_dofs, len(context.channels)
-    stories = context.structure.n_stories
-    known = replace(prior_from_drawing(model, np.ones(stories + n), c), reference_degc=reference_degc)
+    sizes = context.structure.n_stories + context.structure.n_masses
+    known = replace(prior_from_drawing(model, np.ones(sizes), len(context.channels)), reference_degc=reference_degc)
     without_effects = slice(0, ParameterLayout.of(known).persistent.start)
     plain = replace(known, model=replace(model, effects=()), mean=known.mean[without_effects])
     posterior = make_posterior(evidence, plain, context)

@@ -181,9 +181,10 @@ class ForwardModel(ABC):
         """Make the linear system at a vector of parameters, before effects that depend on the level are added."""
         ratios, (mass, stiffness) = np.exp(x[self.layout.damping]), self.model(x, effects).structural_matrices()
         if not self.damped_as_built:
-            return modally_damped(mass, stiffness, ratios)
+            return replace(modally_damped(mass, stiffness, ratios), ground=self.context.structure.rides)
         built = self.model(x, self.prior.effects(x)).structural_matrices()
-        return System(mass, modally_damped(*built, ratios).damping, stiffness)
+        damping = modally_damped(*built, ratios).damping
+        return System(mass, damping, stiffness, ground=self.context.structure.rides)
 
     def is_stable(self, x: Array, effects: Sequence[Effect]) -> bool:
         """Decide if the modes that are coupled to the structure leave it stable; their spectra alone would not tell.

@@ -238,7 +238,7 @@ def response(
         floors = np.zeros((hz.size, context.structure.n_dofs, len(drive.inputs)), dtype=complex)
         for distance_hz, factor in drive.images(hz):
             relative = _relative_response(drive, system, clock * (hz + distance_hz), context)
-            floors += factor[:, None, None] * (relative + drive.rides)
+            floors += factor[:, None, None] * (relative + np.outer(context.structure.rides, drive.rides))
         channels = np.asarray(context.sensors @ floors, dtype=np.complex128)
         return recorded(channels, effects, clock * hz, context, condition)
 
@@ -287,7 +287,9 @@ def exact_response(
         forces = acting[: run.length * _OVERSAMPLING] @ drive.forces(system).T
         floors = march(system, n, laws, forces, finer * clock, None, 0.0 if coarse else _MIN_STEP_HZ)
         floors = np.pad(floors[::_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
-        absolute: ComplexArray = (rfft(floors, axis=0) + (true @ drive.rides)[:, None]) * run.passed[:, None]
+        absolute: ComplexArray = (
+            rfft(floors, axis=0) + np.outer(true @ drive.rides, context.structure.rides)
+        ) * run.passed[:, None]
         channels = np.asarray((absolute @ context.sensors.T)[:, :, None]).astype(np.complex128)
         answer = recorded(channels, effects, hz * clock, context, condition)
         return np.asarray(irfft(answer[:, :, 0].T, n=run.n))

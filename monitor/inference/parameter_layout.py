@@ -33,7 +33,7 @@ class ParameterLayout:
     stiffness: slice
     """ln stiffness of every story (or stiffness parameter), N/m."""
     masses: slice
-    """ln mass of every degree of freedom, kg."""
+    """ln mass of every floor (or mass parameter), kg."""
     damping: slice
     """ln damping ratio of every mode."""
     channel_noise: slice

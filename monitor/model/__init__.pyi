@@ -20,6 +20,7 @@ from .effects import (
     interval as interval,
     locations as locations,
     parse_effect as parse_effect,
+    place_index as place_index,
     story_damage as story_damage,
     unit as unit,
 )
@@ -37,16 +38,23 @@ from .simulation import (
     ExcitationKind as ExcitationKind,
     Motion as Motion,
     channel_motion as channel_motion,
+    driven as driven,
     own_forces as own_forces,
     respond_newmark as respond_newmark,
     simulate as simulate,
     with_own_forces as with_own_forces,
 )
-from .structures import MatrixStructure as MatrixStructure, ShearFrame as ShearFrame
+from .structures import Building as Building, MatrixStructure as MatrixStructure, ShearFrame as ShearFrame
 from .structures.drawing import (
     Drawing as Drawing,
     LineTable as LineTable,
     NodeTable as NodeTable,
     drawing_problems as drawing_problems,
 )
-from .structures.tables import DrawnTable as DrawnTable, ModalTable as ModalTable, StructureTable as StructureTable
+from .structures.tables import (
+    BuildingTable as BuildingTable,
+    DrawnTable as DrawnTable,
+    ModalTable as ModalTable,
+    StoreyTable as StoreyTable,
+    StructureTable as StructureTable,
+)

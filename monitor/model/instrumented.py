@@ -32,9 +32,9 @@ class InstrumentedModel:
     model: Model
     channels: tuple[str, ...]
     """Names of the accelerometers."""
-    floors: tuple[int, ...]
-    """Floor (degree of freedom, counted from 1) of each channel."""
-    prior_std: Annotated[Array, "p+n"]
+    floors: tuple[int | str, ...]
+    """Floor (degree of freedom, counted from 1) of each channel; or its place in words, with `rows`."""
+    prior_std: Annotated[Array, "p+b"]
     """Relative standard deviations of the stiffnesses, then of the masses."""
     name: str = ""
     kind: str = ""
@@ -43,10 +43,16 @@ class InstrumentedModel:
     """Sample rate after resampling; None where no samples are meant."""
     cutoff_hz: float | None = None
     """Cutoff of the lowpass before resampling."""
+    rows: Annotated[Array, "c n"] | None = None
+    """What each channel sees of the degrees of freedom; None: the one of its floor."""
+    boxes: tuple[tuple[int, int], ...] = ()
+    """Channels along x and along y, from 0, of each box that measures both at one place."""
 
     @property
     def sensor_matrix(self) -> Annotated[Array, "c n"]:
         """Matrix that picks the channels out of the floors' motion."""
+        if self.rows is not None:
+            return self.rows
         matrix = np.zeros((len(self.floors), self.model.structure.n_dofs))
         matrix[np.arange(len(self.floors)), np.array(self.floors, dtype=int) - 1] = 1.0
         return matrix
@@ -62,4 +68,4 @@ class InstrumentedModel:
 
     def context(self, rate_hz: float) -> Context:
         """Make the context in which effects act, for samples at `rate_hz` (Hz)."""
-        return Context(self.model.structure, self.channels, self.sensor_matrix, rate_hz)
+        return Context(self.model.structure, self.channels, self.sensor_matrix, rate_hz, self.boxes)

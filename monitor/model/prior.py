@@ -84,10 +84,10 @@ class StructuralPrior:
     def sizes(self) -> tuple[int, int, int, int, int]:
         """Lengths of the parts of `mean` before the coordinates of the persistent effects."""
         s = self.model.structure
-        n = s.n_dofs
+        known = s.n_stories, s.n_masses, s.n_dofs
         corrections = self.basis.shape[0]
-        channels = self.mean.size - s.stiffness_n_per_m.size - 2 * n - corrections - self.n_persistent
-        return s.stiffness_n_per_m.size, n, n, channels, corrections
+        channels = self.mean.size - sum(known) - corrections - self.n_persistent
+        return *known, channels, corrections
 
     def log_density(self, x: Array) -> float:
         """Compute the log density of coordinates, relative to that of the mean, nats."""
@@ -234,7 +234,7 @@ def prior_from_drawing(
     be corrected, with the relative standard deviation `correction_std`.
     """
     s, n_corrections = model.structure, n_modes * (n_modes + 1) // 2
-    sizes = [np.log(of) for of in (s.stiffness_n_per_m, np.diag(s.mass_matrix()), model.damping_ratios())]
+    sizes = [np.log(of) for of in (s.stiffness_n_per_m, s.masses_kg, model.damping_ratios())]
     mean = np.concatenate([*sizes, np.zeros(n_channels + n_corrections), *[e.coordinates for e in model.effects]])
     beside = np.repeat([0.7, 0.1, correction_std], [s.n_dofs, n_channels, n_corrections])
     std = np.concatenate([prior_std, beside])

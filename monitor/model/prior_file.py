@@ -75,14 +75,14 @@ def read_prior(content: Any, model: Model, channels: tuple[str, ...]) -> Structu
     """
     if content is None:
         return None
-    n, p = model.structure.n_dofs, model.structure.n_stories
+    n, b, p = model.structure.n_dofs, model.structure.n_masses, model.structure.n_stories
     c = decode(_Content, content, place="reference", n=n, c=len(channels))
     effects = tuple(FORMS[e.effect].create(e.location, e.parameters) for e in c.effects)
-    size = p + 2 * n + len(channels) + c.basis.shape[0] + sum(len(e.parameters) for e in effects)
+    size = p + b + n + len(channels) + c.basis.shape[0] + sum(len(e.parameters) for e in effects)
     if c.mean.size != size:
         raise ValueError(f"reference.mean: {c.mean.size} values, {size} are expected")
     with np.errstate(over="ignore", under="ignore"):
-        sizes = np.exp(c.mean[: p + n])
+        sizes = np.exp(c.mean[: p + b])
     if not (np.isfinite(sizes) & (sizes > 0.0)).all():
         raise ValueError("the reference holds stiffnesses or masses that are not finite, above zero")
     healthy = model.with_stiffness(sizes[:p]).with_masses(sizes[p:])

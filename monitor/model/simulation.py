@@ -15,8 +15,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from monitor.core import Array
-from monitor.model.effects import Condition, Context, System
+from monitor.model.effects import Condition, Context, Effect, System, place_index
 from monitor.model.model import Model
+from monitor.model.structures import Structure
 
 ExcitationKind = Literal["ambient", "impulse", "ground", "force", "sweep"]
 _MEASURED_N = 10.0
@@ -42,7 +43,7 @@ def linear_system(model: Model) -> System:
     """Assemble the structure, its damping and the effects that are linear at every level of vibration."""
     n = model.structure.n_dofs
     mass, stiffness = model.structural_matrices()
-    system = System(mass, model.damping_matrix(), stiffness)
+    system = System(mass, model.damping_matrix(), stiffness, ground=model.structure.rides)
     context = Context(model.structure, (), np.zeros((0, n)), 1.0)
     no_condition = Condition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
     for effect in model.effects:
@@ -165,8 +166,7 @@ def simulate(
         forces[:: max(1, round(10.0 * rate_hz)), n // 2] = rate_hz  # 1 N s within one sample
     else:
         ground = 0.5 * level[:, 0] * rng.standard_normal(n_samples)
-    for effect in model.effects:
-        forces = effect.drive(forces, true_rate_hz)
+    forces = driven(model.effects, forces, true_rate_hz, model.structure)
     if excitation == "force":
         measured = _MEASURED_N * level * rng.standard_normal((n_samples, len(forced)))
         forces = forces + measured @ np.eye(n)[np.array(forced) - 1]
@@ -186,11 +186,26 @@ def simulate(
         samples = effect.measure(samples, true_rate_hz, context, effects_rng)
     rotation_rate = None
     if turning is not None:
-        relative = moved[:, :n] if true_ground is None else moved[:, :n] - true_ground[:, None]
+        relative = moved[:, :n]
+        if true_ground is not None:
+            relative = relative - true_ground[:, None] * model.structure.rides
         rotation_rate = _integrated(relative @ turning.T, true_rate_hz)
         own_rms = noise * float(np.sqrt((rotation_rate**2).mean(axis=0)).mean())
         rotation_rate = rotation_rate + own_rms * effects_rng.standard_normal(rotation_rate.shape)
     return Motion(rate_hz, samples, ground, measured, rotation_rate)
+
+
+def driven(
+    effects: Sequence[Effect], forces: Array, rate_hz: float, structure: Structure
+) -> Annotated[Array, "samples N"]:
+    """Apply effects to the forces on the structure's degrees of freedom, N, in their order."""
+    for effect in effects:
+        forces = effect.drive(forces, rate_hz)
+        for line in effect.lines():
+            forces = forces.copy()
+            turns = 2.0 * np.pi * line.frequency_hz / rate_hz * np.arange(len(forces))
+            forces[:, place_index(line.location, structure)] += line.force_n * np.sin(turns)
+    return forces
 
 
 def _swept(model: Model, n: int, rate_hz: float) -> Annotated[Array, "n"]:
@@ -324,7 +339,8 @@ def _unmeasured_ground(
         names = ", ".join(dict.fromkeys(e.name for e in model.effects if e.ground_share))
         raise ValueError(f"{names}: shares add up to {share:g}, not below 1")
     ground = np.asarray(level * rng.standard_normal(level.size))
-    response = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz) + ground[:, None]
+    response = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz)
+    response = response + ground[:, None] * model.structure.rides
     by_ground = ((response @ context.sensors.T) ** 2).mean(axis=0)
     by_force = ((respond_exactly(model, forces, rate_hz) @ context.sensors.T) ** 2).mean(axis=0)
 

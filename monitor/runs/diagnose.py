@@ -61,6 +61,7 @@ from monitor.model import (
     Model,
     StructuralPrior,
     locations,
+    place_index,
     prior_from_drawing,
 )
 from monitor.runs.recordings import OnWarning, Progress, file_names, read_blocks
@@ -253,8 +254,7 @@ def _with_site_effects(known: StructuralPrior, observed: ObservedSpectra, contex
         kind.starts(place, context, condition)[0]
         for name, kind in CALIBRATION_EFFECTS.items()
         if name not in stated
-        for kind_of_place in kind.places
-        for place in locations(kind_of_place, context)
+        for place in kind.places_in(context)
     )
     if observed.drive.inputs or not effects:
         return None
@@ -267,13 +267,14 @@ def _same_laws_in_other_stories(causes: tuple[Effect, ...], context: Context) ->
     A mechanism that acts in one story also acts in the others, although healthy data do not show it.
     """
     stiffness, out = context.structure.stiffness_n_per_m, {(e.name, e.location): e for e in causes}
-    for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("story")):
+    for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("stor")):
         if all(p.weighty for p in law.parameters):
             for place in locations("story", context):
-                if not context.structure.single_springs()[int(place.removeprefix("story ")) - 1]:
+                j = place_index(place, context.structure)
+                if not context.structure.single_springs()[j]:
                     continue
                 other = replace(law, location=place)
-                size = law.coordinates * stiffness[other.index] / stiffness[law.index]
+                size = law.coordinates * stiffness[j] / stiffness[law.index(context.structure)]
                 out.setdefault((law.name, place), other.at(size))
     return tuple(out.values())[len(causes) :]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -25,6 +26,8 @@ _MOST_FRAME_ERROR = 0.1
 """Relative error of a frame's frequency up to which it is taken. [ratio; judgement: calibrate fits the stiffness anyway]"""
 _BEYOND = 4.0
 """Frequency of what the modes do not determine, over that of the highest mode. [1; judgement: beyond the band]"""
+_SHARE_OF_DIRECTION = 0.8
+"""Least share of a mode's motion, squared, by which it is of a direction. [ratio; judgement]"""
 _CUTOFF_OVER_MODE = 1.4
 """Cutoff of the lowpass over the highest mode. [1; as `stabilization.advice`]"""
 _WINDOWS = 4
@@ -32,7 +35,13 @@ _WINDOWS = 4
 
 
 def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
-    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole."""
+    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole.
+
+    Channels whose names end in x and in y are of two directions: a building is proposed where each direction is a shear frame,
+    else the direction with the most modes alone.
+    """
+    if len(axes := _axes(found.channels)) > 1:
+        return _propose_building(found, axes, mass_kg)
     sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
     if not sure:
         raise BadInputError(f"{', '.join(found.files)}: no mode to make a structure of; record longer, or more motion")
@@ -99,6 +108,82 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
         lines += ["", "[[sensors]]", f"channel = {json.dumps(found.channels[channel])}", f"floor = {floor}"]
     lines += ["", *processing[0]]
     return "\n".join(lines) + "\n"
+
+
+def _axes(channels: Sequence[str]) -> dict[str, list[int]]:
+    """Group the channels (0 = first) by the direction that their names end in; nothing where some end otherwise."""
+    ends = [name[-1:].lower() for name in channels]
+    groups = {axis: [k for k, end in enumerate(ends) if end == axis] for axis in "xyz"}
+    own = {axis: those for axis, those in groups.items() if those}
+    return own if sum(map(len, own.values())) == len(channels) and not own.keys().isdisjoint("xy") else {}
+
+
+def _along(found: LookedRecording, those: Sequence[int]) -> LookedRecording:
+    """Reduce a look to some channels and to the modes whose motion is theirs."""
+    modes = []
+    for mode in found.modes:
+        own = mode.shape[list(those)]
+        largest = own[np.abs(own).argmax()]
+        if (np.abs(own) ** 2).sum() >= _SHARE_OF_DIRECTION * (np.abs(mode.shape) ** 2).sum():
+            modes.append(replace(mode, shape=own / largest, shape_std=mode.shape_std[list(those)] / abs(largest)))
+    return replace(found, channels=tuple(found.channels[k] for k in those), modes=tuple(modes))
+
+
+def _propose_building(found: LookedRecording, axes: Mapping[str, list[int]], mass_kg: float | None) -> str:
+    """Write a building where each direction is a shear frame on the same floors, else one direction alone."""
+    ways = {axis: _along(found, axes[axis]) for axis in "xy" if axis in axes}
+    fitted = {axis: _fitted_frame(way, 1.0 if mass_kg is None else mass_kg) for axis, way in ways.items()}
+    best = max(ways, key=lambda axis: len(ways[axis].modes))
+    orders = [None if fit is None else (axis, fit[1]) for axis, fit in fitted.items()]
+    floors = [None if known is None else [ways[known[0]].channels[k][:-1] for k in known[1]] for known in orders]
+    (x, y) = fitted.get("x"), fitted.get("y")
+    if x is None or y is None or floors[0] != floors[1] or len(floors[0] or ()) < len(axes["x"]):
+        left = ", ".join(name for k, name in enumerate(found.channels) if k not in axes[best])
+        text = propose_structure(ways[best], mass_kg)
+        head, _, rest = text.partition("\n")
+        return (
+            f"{head}\n# - Along {best} alone: the directions are no shear frames on the same floors, or one has too few modes. "
+            f"Left out: {left}. Draw a building for both (docs/structures.md).\n{rest}"
+        )
+    names, modes = floors[0] or [], [m for way in ways.values() for m in way.modes if not m.remark and _is_sure(m)]
+    modes.sort(key=lambda mode: mode.frequency_hz)
+    settings, doubts = _processing(found, modes)
+    masses = 0.5 * (x[0].masses_kg + y[0].masses_kg)
+    lines = [f"# Proposed by `shm-monitor look` from {', '.join(found.files)}: it fits the modes, it is no drawing."]
+    says = [
+        "Two shear frames on the same floors, one along x and one along y, from the names of the channels. Floors are ordered by "
+        f"their motion in the lowest modes, the top one first: {', '.join(names)}. Check the order.",
+        "The plan is a guess, and so are the places of the sensors, in its middle: state plan_m, and position_m of each sensor; "
+        "then torsion is told.",
+        *doubts,
+    ]
+    if mass_kg is None:
+        says.append("The masses are relative, 1 kg in all: give --mass-kg for N/m and drifts.")
+    says += [f"Of the recording: {doubt}" for doubt in found.doubts]
+    lines += [f"# - {one}" for one in says]
+    damping = float(np.clip(np.mean([mode.damping_ratio for mode in modes[:2]]), 1e-4, 0.99))
+    lines += ["[structure]", 'kind = "building"', f"damping_ratio = {damping:.4g}"]
+    for j in reversed(range(len(names))):
+        lines += ["", "[[storeys]]", f"mass_kg = {masses[j]:.6g}", "plan_m = [10.0, 10.0]"]
+        lines += [
+            f"stiffness_{axis}_n_per_m = {frame.stiffness_n_per_m[j]:.6g}" for axis, (frame, _) in (("x", x), ("y", y))
+        ]
+    for axis, those in axes.items():
+        for name in (found.channels[k] for k in those):
+            floor = len(names) - names.index(name[:-1]) if name[:-1] in names else 1
+            lines += ["", "[[sensors]]", f"channel = {json.dumps(name)}", f"floor = {floor}", f'axis = "{axis}"']
+    return "\n".join([*lines, "", *settings]) + "\n"
+
+
+def _fitted_frame(found: LookedRecording, mass_kg: float) -> tuple[ShearFrame, list[int]] | None:
+    """Fit a frame to the modes of one direction, with the order of its floors; None where it does not fit."""
+    sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)][: len(found.channels)]
+    if not sure:
+        return None
+    modes = sorted(sure, key=lambda mode: mode.frequency_hz)
+    order = [int(k) for k in np.argsort(-np.abs(modes[0].shape.real))]
+    frame = fit_frame(modes, order, mass_kg)
+    return None if frame_misfit(frame, modes, order) else (frame, order)
 
 
 def _is_sure(mode: LookedMode) -> bool:

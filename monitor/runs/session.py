@@ -211,9 +211,9 @@ class Session:
         """
         self._summary.dropped_samples = self.dropped
         findings = self.online_diagnosis.findings
-        summary = self._summary.content(realtime_factor, self._model_hz)
+        summary = self._summary.content(realtime_factor, self._model_hz, self.story_names)
         for alarm, loss in zip(summary["alarms"], self.episodes, strict=True):
-            alarm["verdict"] = diagnosis_of(loss, findings)
+            alarm["verdict"] = diagnosis_of(loss, findings, self.story_names)
         return {
             **self.assessment.content,
             **summary,

@@ -18,6 +18,7 @@ from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, SensorTable
 from monitor.core import Array, BadConfigurationError, OnProgress, Step, os_errors_of
 from monitor.model import (
+    Building,
     Effect,
     EffectError,
     ExcitationKind,
@@ -93,21 +94,28 @@ def cut_into_blocks(
 
 
 def parse_damage(text: str) -> Effect:
-    """Parse ``storyN=LOSS`` as an effect; LOSS is the relative loss of stiffness, from 0 to below 1 (else EffectError).
+    """Parse ``storyN=LOSS``, or a building's ``storeyNx=LOSS``, as an effect (else EffectError).
+
+    LOSS is the relative loss of stiffness, from 0 to below 1; a building's direction is x, y or torsion.
 
     Examples
     --------
     >>> parse_damage("story2=0.1").location
     'story 2'
+    >>> parse_damage("storey2y=0.1").location
+    'storey 2 y'
     """
-    match = re.fullmatch(r"story ?(\d+)=([0-9.eE+-]+)", text)
+    match = re.fullmatch(r"(?:story ?(\d+)|storey ?(\d+) ?(x|y|torsion))=([0-9.eE+-]+)", text)
     try:
-        loss = float(match[2]) if match else np.nan
+        loss = float(match[4]) if match else np.nan
     except ValueError:
         loss = np.nan
     if match is None or not 0.0 <= loss < 1.0:
-        raise EffectError(f"--damage {text!r}: expected storyN=LOSS with 0 <= LOSS < 1, as story1=0.2")
-    return story_damage(int(match[1]), loss)
+        raise EffectError(
+            f"--damage {text!r}: expected storyN=LOSS with 0 <= LOSS < 1, as story1=0.2; of a building storeyNx=LOSS, x, y or "
+            "torsion, as storey2y=0.1"
+        )
+    return story_damage(f"story {int(match[1])}" if match[1] else f"storey {int(match[2])} {match[3]}", loss)
 
 
 def write_simulated_recording(
@@ -157,13 +165,14 @@ def write_simulated_recording(
             seed=seed,
             context=config.instrumented().context(rate_hz),
             excess_degc=None if weather is None else weather.degc(n_samples, rate_hz) - weather.reference_degc,
-            forced=[i.floor for i in config.inputs],
+            forced=config.forced,
             turning=_turning(config, truth),
         )
     except ValueError as error:  # includes EffectError
         raise BadConfigurationError(str(error)) from error
     metadata = {
         "structure": config.structure.model_dump_json(),
+        "storeys": json.dumps([s.model_dump(mode="json") for s in config.storeys]),
         "effects": json.dumps([{"effect": e.name, "location": e.location, **e.values()} for e in planted]),
         "excitation": excitation,
         "noise": repr(noise),
@@ -194,7 +203,10 @@ def _turning(config: Configuration, truth: Model) -> Annotated[Array, "g n"] | N
     for row, sensor in zip(out, gyroscopes, strict=True):
         if not sensor.floor:
             continue
-        if not isinstance(structure, ShearFrame):
+        if isinstance(structure, Building):
+            if sensor.axis == "z":
+                row[:] = structure.turn_row(sensor.floor)
+        elif not isinstance(structure, ShearFrame):
             row[sensor.floor - 1] = 1.0
         elif sensor.axis == "y":
             row[:] = structure.girder_rotation(sensor.floor, sensor.mounted)

@@ -49,7 +49,8 @@ class Publication(Publisher):
     def window(self, result: WindowResult, line: str) -> None:
         """Write and publish the result of a window, unless a previous run did so."""
         present, history = self.publish_state(), self.files.history
-        history.episodes([episode_content(e) for e in self.evaluation.session.episodes[-_LATEST:]])
+        session = self.evaluation.session
+        history.episodes([episode_content(e, session.story_names) for e in session.episodes[-_LATEST:]])
         if result.index in self.files.keeper.written:
             return
         history.window(json.loads(line) | {"state": present.state.value})
@@ -162,7 +163,9 @@ class SummaryFile:
         content |= {"refused_blocks": vitals.refused, "unprocessed_blocks": vitals.unprocessed}
         pipeline = session.pipeline
         content["latency_ms"] = vitals.latency()
-        content["alarm"] = current_alarm_line(pipeline.state.alarm, pipeline.quantities.parts)
+        content["alarm"] = current_alarm_line(
+            pipeline.state.alarm, pipeline.quantities.parts, pipeline.quantities.names
+        )
         content = plain(content | evaluation.present.content)
         self.way.write(self._path, to_json(content) + "\n", self._is_allowed)
         for outlet in self._publication.outlets:

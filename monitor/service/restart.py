@@ -95,7 +95,8 @@ class Checkpointer:
         self._out, self._config, self._recording, self._lines = out, config, recording, lines
         tables = config.model_dump(mode="json", include={*_KEYED})
         # Labels and witnesses change no number.
-        tables["sensors"] = [s.model_dump(mode="json", include={"channel", "floor"}) for s in config.floor_sensors]
+        of_sensors = {"channel", "floor", "axis", "position_m"}
+        tables["sensors"] = [s.model_dump(mode="json", include=of_sensors) for s in config.floor_sensors]
         structure = config.structure.model_dump(mode="json", exclude={"name"})
         baseline = None if healthy is None else sha256(healthy)
         self.key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})

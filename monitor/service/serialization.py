@@ -23,7 +23,7 @@ from monitor.core import finish, from_plain, partial, to_plain
 _log = logging.getLogger(__name__)
 
 FORMAT = "shm-monitor state"
-VERSION = 2
+VERSION = 3
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 
 
@@ -34,7 +34,14 @@ def _with_sightings(tree: Any) -> Any:
     return tree
 
 
-UPGRADES: Mapping[int, Callable[[Any], Any]] = {1: _with_sightings}
+def _with_corners(tree: Any) -> Any:
+    """Give events the drifts at the corners of a plan, of which version 2 knew none."""
+    for item in tree["session"]["pipeline"]["events"]["awaiting"] if "session" in tree else ():
+        item["event"]["drift_corner_m"] = np.zeros(0)
+    return tree
+
+
+UPGRADES: Mapping[int, Callable[[Any], Any]] = {1: _with_sightings, 2: _with_corners}
 """Version -> function that converts its plain value (`core.to_plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"

@@ -16,7 +16,7 @@ STRUCTURE = ShearFrame(
     np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01, np.array([0.093, 0.093, 0.1])
 )
 RATE_HZ = 1024.0
-CONTEXT = Context(STRUCTURE, ("a1", "a2", "a3"), np.eye(3), RATE_HZ)
+CONTEXT = Context(STRUCTURE, ("a1", "a2", "a3"), np.eye(3), RATE_HZ, boxes=((0, 1),))
 DESIGN = SegmentDesign(RATE_HZ, 20480, 721)  # 20 s
 BAND = Band(40, 680, DESIGN.step_hz, np.ones(680))  # 2 to 36 Hz
 
@@ -46,6 +46,7 @@ CASES = (
     "sensor_gain:channel a2:gain=1.1",
     "sensor_polarity:channel a3",
     "channel_swap:channel a1,a3",
+    "sensor_rotation:channel a1,a2:angle_deg=20",
     "time_offset:channel a2:seconds=0.002",
     "clock_rate:frame:relative=0.01",
     "sensor_clipping:channel a1:limit_m_s2=7.5",

@@ -19,7 +19,6 @@ from monitor.model import (
     Peak,
     ShearFrame,
     System,
-    locations,
     parse_effect,
     simulate,
 )
@@ -50,7 +49,8 @@ NAMES = [
     ),
     *("coulomb_friction", "quadratic_damping", "story_damper", "base_flexibility", "joint_flexibility"),
     *("gravity_softening", "attached_oscillator", "harmonic_excitation", "coloured_excitation", "base_excitation"),
-    *("sensor_gain", "sensor_polarity", "channel_swap", "time_offset", "clock_rate", "sensor_clipping", "sensor_noise"),
+    *("sensor_gain", "sensor_polarity", "channel_swap", "sensor_rotation", "time_offset", "clock_rate"),
+    *("sensor_clipping", "sensor_noise"),
     "unmodelled_mode",
     "hysteretic_slip",
 ]
@@ -67,8 +67,7 @@ def every_start() -> list[Effect]:
     return [
         start
         for effect in EFFECTS.values()
-        for kind in effect.places
-        for place in locations(kind, CONTEXT)
+        for place in effect.places_in(CONTEXT)
         for start in (*effect.starts(place, CONTEXT, AT_REST), effect.at_peak(place, peak, CONTEXT, AT_REST))
         if start is not None
     ]
@@ -156,8 +155,7 @@ def test_a_clipped_channel_starts_at_a_limit_that_it_reaches(share: float) -> No
 def test_every_place_has_a_start() -> None:
     found = {(s.name, s.location) for s in every_start()}
     for name, effect in EFFECTS.items():
-        for kind in effect.places:
-            assert {(name, place) for place in locations(kind, CONTEXT)} <= found
+        assert {(name, place) for place in effect.places_in(CONTEXT)} <= found
 
 
 @pytest.mark.parametrize(

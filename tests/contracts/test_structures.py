@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from monitor.model import EFFECTS, Condition, Context, EffectError, MatrixStructure, ShearFrame
+from monitor.model import EFFECTS, Building, Condition, Context, EffectError, MatrixStructure, ShearFrame
 
 
 def cantilever(elements: int = 4) -> MatrixStructure:
@@ -36,12 +36,20 @@ def grounded() -> MatrixStructure:
     return MatrixStructure.create(np.diag([1.0, 2.0]), stiffness, slope, np.array([700.0]), 0.02)
 
 
-Structure = ShearFrame | MatrixStructure
+def building() -> Building:
+    """Two storeys, the mass centres off the middle of the plan."""
+    stiffness = np.array([9e3, 8e3, 6e3, 5e3, 3e5, 2e5])
+    plan, off = np.array([[8.0, 5.0], [6.0, 5.0]]), np.array([[0.5, -0.2], [0.1, 0.3]])
+    return Building(np.array([11.0, 9.0]), stiffness, 0.01, plan, off)
+
+
+Structure = ShearFrame | MatrixStructure | Building
 
 CASES: dict[str, Structure] = {
     "one story": ShearFrame(np.array([2.0]), np.array([800.0]), 0.01),
     "frame": ShearFrame(np.array([0.33, 0.35, 0.31]), np.array([2250.0, 2300.0, 1800.0]), 0.01),
     "beam": cantilever(),
+    "building": building(),
     "fewer stiffnesses than dofs": grounded(),
 }
 
@@ -64,7 +72,7 @@ def test_a_single_spring_is_all_of_its_stiffness_derivative(structure: Structure
     assert structure.single_springs().tolist() == springs
     for name, kind in EFFECTS.items():
         if "story" in kind.places:
-            effect = kind.starts("story 1", _context(structure), _still(structure))[0]
+            effect = kind.starts(structure.story_places[0], _context(structure), _still(structure))[0]
             if name == "stiffness_change" or springs[0]:
                 effect.check(structure, ("a",))
             else:
@@ -104,8 +112,8 @@ def test_derivatives_are_the_matrices_slopes(structure: Structure) -> None:
 
 @every
 def test_masses_are_the_diagonal_and_keep_the_matrix_positive(structure: Structure) -> None:
-    heavier = structure.with_masses(structure.masses_kg * np.linspace(0.5, 2.0, structure.n_dofs))
-    np.testing.assert_allclose(np.diag(heavier.mass_matrix()), heavier.masses_kg)
+    heavier = structure.with_masses(structure.masses_kg * np.linspace(0.5, 2.0, structure.n_masses))
+    np.testing.assert_allclose(np.diag(heavier.mass_matrix()), heavier.inertia_kg)
     assert np.linalg.eigvalsh(heavier.mass_matrix())[0] > 0
 
 

@@ -202,7 +202,7 @@ def story_force(text: str, largest_m: float = 0.01) -> np.ndarray:
 
     effect = parse_effect(text)
     law = effect.laws(FRAME.structure)[0]
-    k = FRAME.structure.stiffness_n_per_m[effect.index]
+    k = FRAME.structure.stiffness_n_per_m[effect.index(FRAME.structure)]
     d = np.linspace(-largest_m, largest_m, 2001)
     return np.array([d, k * d + [phi(int(law.kind), *law.parameters, float(x), 0.0) for x in d]])
 

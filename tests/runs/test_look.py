@@ -178,6 +178,31 @@ def test_matrices_of_fewer_sensors_than_floors_have_the_measured_shapes_whatever
             assert shape[1] / shape[0] == pytest.approx(mode.shape[1].real / mode.shape[0].real, rel=1e-6)
 
 
+def test_two_directions_are_one_building_or_one_direction_and_never_a_mixture(tmp_path: Path) -> None:
+    """Channels of two frames that share their floors, and some along z."""
+    stiffer = ShearFrame(FRAME.masses_kg, 1.7 * FRAME.stiffness_n_per_m, 0.01)
+    other = simulate(Model(stiffer), duration_s=600.0, rate_hz=100.0, noise=0.05, seed=8).floors
+    upright = 0.1 * np.random.default_rng(4).standard_normal(other.shape) * other.std()
+    values = np.hstack(
+        [simulate(Model(FRAME), duration_s=600.0, rate_hz=100.0, noise=0.05, seed=7).floors, other, upright]
+    )
+    names = [f"f{3 - j}{axis}" for axis in "xyz" for j in range(3)]
+    both = tmp_path / "both.csv"
+    np.savetxt(both, values, delimiter=",", header=",".join(names), comments="")
+    found = look.look([both], Options(rate_hz=100.0, unit="m/s^2"))
+    look.write_structure(found, tmp_path / "both.toml", mass_kg=float(FRAME.masses_kg.sum()))
+    config = configuration.load(tmp_path / "both.toml")
+    assert config.structure.kind == "building" and len(config.witnesses) == 3
+    assert {s.channel: s.floor for s in config.sensors} == {name: int(name[1]) for name in names}
+    wanted = np.concatenate([FRAME.stiffness_n_per_m[::-1], 1.7 * FRAME.stiffness_n_per_m[::-1]])
+    np.testing.assert_allclose(config.drawn.stiffness_n_per_m[:6], wanted, rtol=0.1)
+    fewer = replace(found, modes=tuple(m for m in found.modes if np.abs(m.shape[3:6]).max() < 0.5))
+    look.write_structure(fewer, tmp_path / "one.toml", mass_kg=None)
+    alone = configuration.load(tmp_path / "one.toml")
+    assert alone.channels == ("f3x", "f2x", "f1x") and min(alone.drawn.masses_kg) > 0.0
+    assert "Along x alone" in (tmp_path / "one.toml").read_text()
+
+
 def test_a_mode_without_second_opinion_and_certain_damping_is_no_part_of_a_structure(
     found: LookedRecording, tmp_path: Path
 ) -> None:

@@ -24,6 +24,7 @@ from monitor.model.effects.base import (
     Peak,
     System,
     locations,
+    place_index,
 )
 from monitor.model.effects.base_excitation import BaseExcitation
 from monitor.model.effects.base_flexibility import BaseFlexibility
@@ -45,6 +46,7 @@ from monitor.model.effects.sensor_clipping import SensorClipping
 from monitor.model.effects.sensor_gain import SensorGain
 from monitor.model.effects.sensor_noise import SensorNoise
 from monitor.model.effects.sensor_polarity import SensorPolarity
+from monitor.model.effects.sensor_rotation import SensorRotation
 from monitor.model.effects.stiffness_change import StiffnessChange
 from monitor.model.effects.story_damper import StoryDamper
 from monitor.model.effects.temperature_stiffness import TemperatureStiffness
@@ -73,6 +75,7 @@ EFFECTS: dict[str, type[Effect]] = {
         SensorGain,
         SensorPolarity,
         ChannelSwap,
+        SensorRotation,
         TimeOffset,
         ClockRate,
         SensorClipping,
@@ -109,17 +112,19 @@ __all__ = [
     "interval",
     "locations",
     "parse_effect",
+    "place_index",
     "story_damage",
     "unit",
 ]
 
 
-def story_damage(story: int, loss: float) -> Effect:
-    """Return the effect that takes a share of a story's stiffness (0.2 = 20 %) away; stories count from 1, as in a location.
+def story_damage(story: int | str, loss: float) -> Effect:
+    """Return the effect that takes a share of a story's stiffness (0.2 = 20 %) away; stories count from 1, or are a place.
 
     Raises EffectError if the story or the loss is impossible.
     """
-    return StiffnessChange.create(f"story {story}", {"relative": -loss})
+    place = story if isinstance(story, str) else f"story {story}"
+    return StiffnessChange.create(place, {"relative": -loss})
 
 
 def parse_effect(text: str) -> Effect:

@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, Structure
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, Structure, place_index
 
 _SIGNATURE = "frequencies fall in the pattern of one floor (of the frame: all alike, as a uniform loss of stiffness)"
 
@@ -25,6 +25,7 @@ class AddedMass(Effect):
     name = "added_mass"
     family = "structure"
     places = ("floor", "frame")
+    whole_floor = True
     parameters = (Parameter("mass_kg", 0.0, inf, absent=0.0),)
     signature = _SIGNATURE
     separating_measurement = "weigh what stands on the floors, or add a known mass and record again"
@@ -40,15 +41,14 @@ class AddedMass(Effect):
 
     @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        return np.asarray(mass + self.mass_kg * self.pattern(structure)), stiffness
+        return np.asarray(mass + self.mass_kg * structure.added_mass(self.index(structure))), stiffness
 
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
         if location == "frame":
             return tuple(AddedMassEverywhere(location, r) for r in (0.003, 0.02, 0.08))
-        start = cls(location, 0.0)
-        mass = float(context.structure.masses_kg[start.index])
+        mass = float(context.structure.masses_kg[place_index(location, context.structure)])
         return tuple(cls(location, share * mass) for share in (0.003, 0.02, 0.1))
 
     @classmethod

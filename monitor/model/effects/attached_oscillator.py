@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, Peak, System
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, Peak, System, place_index
 
 _OSCILLATOR_DAMPING = 0.03
 """Damping ratio that is expected of what swings on a floor. [1; judgement: a few percent]"""
@@ -49,10 +49,11 @@ class AttachedOscillator(Effect):
             return system
         size = system.mass.shape[0]
         link = np.zeros(size + 1)
-        link[self.index], link[size] = -1.0, 1.0
+        j = self.index(context.structure)
+        link[j], link[size] = -1.0, 1.0
         joint = np.outer(link, link)
         omega = 2.0 * pi * self.frequency_hz
-        larger = system.enlarged()
+        larger = system.enlarged(system.ground[j])
         larger.mass[size, size] = self.mass_kg
         larger.damping[:] += 2.0 * self.damping_ratio * omega * self.mass_kg * joint
         larger.stiffness[:] += omega**2 * self.mass_kg * joint
@@ -71,14 +72,13 @@ class AttachedOscillator(Effect):
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        j = int(location.partition(" ")[2]) - 1
-        mass = _START_MASS * float(context.structure.masses_kg[j])
+        mass = _mass(location, context)
         return tuple(cls(location, mass, float(hz), _OSCILLATOR_DAMPING) for hz in np.geomspace(6.0, 25.0, 16))
 
     @classmethod
     @override
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
-        mass = _START_MASS * float(context.structure.masses_kg[int(location.partition(" ")[2]) - 1])
+        mass = _mass(location, context)
         return cls(location, mass, peak.hz, _OSCILLATOR_DAMPING)
 
     @classmethod
@@ -89,3 +89,8 @@ class AttachedOscillator(Effect):
         damping = fitted.sized("damping_ratio", f" with {fitted.percent('damping_ratio')} damping", "")
         light = fitted.sized("mass_kg", "", ", too light to be sized")
         return f"something{mass} on {fitted.location} swings by itself at {fitted.interval('frequency_hz')}{damping}{light}"
+
+
+def _mass(location: str, context: Context) -> float:
+    """Return the mass with which a fit starts, kg."""
+    return _START_MASS * float(context.structure.inertia_kg[place_index(location, context.structure)])

@@ -22,6 +22,7 @@ from monitor.core import Array, ComplexArray
 from monitor.model.effects.parameter import Parameter as Parameter
 from monitor.model.effects.report_face import FittedSizes as FittedSizes, ReportFace
 from monitor.model.structures import Structure as Structure
+from monitor.model.structures.building import DIRECTIONS
 
 _STORY_STD = 2.0
 """Relative standard deviation of a story's stiffness, over the RMS of the relative corrections that the drawing's form
@@ -42,6 +43,8 @@ class Context:
     """Matrix that picks the channels out of the floors' motion."""
     rate_hz: float
     """Rate of the source's samples."""
+    boxes: tuple[tuple[int, int], ...] = ()
+    """Channels along x and along y, from 0, of each box that measures both at one place."""
 
 
 def _none_degc(lag_s: float) -> float:
@@ -119,11 +122,15 @@ class System:
     """Modes among the appended degrees of freedom; the others are masses that ride on the structure."""
     springs: Annotated[Array, "n n"] = field(default_factory=lambda: np.zeros((0, 0)))
     """Stiffness of the structure alone, N/m; by default `stiffness`, before effects append and add to it."""
+    ground: Annotated[Array, "N"] = field(default_factory=lambda: np.zeros(0))
+    """Displacement of the degrees of freedom with a ground that moves by one; ones by default."""
 
     def __post_init__(self) -> None:
         """Keep the stiffness of the structure alone."""
         if self.springs.size == 0:
             object.__setattr__(self, "springs", self.stiffness)
+        if self.ground.size == 0:
+            object.__setattr__(self, "ground", np.ones(self.mass.shape[0]))
 
     @property
     def inertia(self) -> Annotated[Array, "N"]:
@@ -133,7 +140,7 @@ class System:
     @property
     def rides(self) -> Annotated[Array, "N"]:
         """Acceleration of every degree of freedom at rest relative to the ground, by a unit of the ground's."""
-        out = np.ones(self.mass.shape[0])
+        out = self.ground.copy()
         out[[mode.index for mode in self.coupled]] = 0.0
         return out
 
@@ -151,12 +158,13 @@ class System:
             out[mode.index, :n] = mode.arms
         return out
 
-    def enlarged(self) -> System:
-        """Append a degree of freedom, as yet without mass, damping and stiffness."""
+    def enlarged(self, ground: float = 1.0) -> System:
+        """Append a degree of freedom, as yet without mass, damping and stiffness, which moves with the ground by `ground`."""
         size = self.mass.shape[0]
         larger = np.zeros((3, size + 1, size + 1))
         larger[:, :size, :size] = self.mass, self.damping, self.stiffness
-        return replace(self, mass=larger[0], damping=larger[1], stiffness=larger[2])
+        moved = np.append(self.ground, ground)
+        return replace(self, mass=larger[0], damping=larger[1], stiffness=larger[2], ground=moved)
 
     def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
         """Add terms to the matrices of the structure's degrees of freedom."""
@@ -192,8 +200,8 @@ class System:
 class Line:
     """Harmonic force on a floor."""
 
-    floor: int
-    """Index of the floor, from 0."""
+    location: str
+    """Place of the floor."""
     frequency_hz: float
     force_n: float
     """Amplitude of the force."""
@@ -256,6 +264,8 @@ class Effect(ReportFace, ABC):
     family: ClassVar[Literal["structure", "excitation", "sensor"]]
     places: ClassVar[tuple[str, ...]]
     """Allowed kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""
+    whole_floor: ClassVar[bool] = False
+    """Whether a floor is meant as a whole, and not its motion one way."""
     parameters: ClassVar[tuple[Parameter, ...]]
     conditional: ClassVar[bool] = False
     """Whether the effect in the frequency domain depends on the condition."""
@@ -288,7 +298,7 @@ class Effect(ReportFace, ABC):
     """Parameters at each start of a fit; those that are left out have their defaults."""
 
     location: str
-    """Place of the effect: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
+    """Place of the effect: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``; of a building also ``storey 2 y``."""
 
     # --- identity -------------------------------------------------------------------------------------------
 
@@ -314,6 +324,12 @@ class Effect(ReportFace, ABC):
                 upper = f", below {p.high:g}" if p.high < inf else ""
                 raise EffectError(f"{cls.name}: {p.name} = {value:g} must be finite{lower}{upper}")
         return cls(location, **parameters)
+
+    @classmethod
+    def places_in(cls, context: Context) -> tuple[str, ...]:
+        """List every place that the effect may have in a structure with its sensors."""
+        of_floors = {"floor": context.structure.mass_places} if cls.whole_floor else {}
+        return tuple(place for kind in cls.places for place in of_floors.get(kind) or locations(kind, context))
 
     def values(self) -> dict[str, float]:
         """Return the parameters by name."""
@@ -387,15 +403,14 @@ class Effect(ReportFace, ABC):
         """Return the law with left and right exchanged, which has the same spectra; None where that is the same law."""
         return None
 
-    @property
-    def index(self) -> int:
-        """Index of the story or floor, from 0; meaningless for other kinds of place."""
-        return int(self.location.partition(" ")[2]) - 1
+    def index(self, structure: Structure) -> int:
+        """Return the index of the story or floor, from 0; ValueError for other kinds of place."""
+        return place_index(self.location, structure)
 
     def direction(self, structure: Structure) -> Annotated[Array, "n"]:
         """Return the row that picks the story's drift or the floor's motion out of the floors' motion."""
-        rows = structure.drift_matrix() if self.location.startswith("story") else np.eye(structure.n_dofs)
-        return np.asarray(rows[self.index])
+        rows = np.eye(structure.n_dofs) if self.location.startswith("floor") else structure.drift_matrix()
+        return np.asarray(rows[self.index(structure)])
 
     def pattern(self, structure: Structure) -> Annotated[Array, "n n"]:
         """Assemble the matrix of a unit spring or damper at the effect's place."""
@@ -412,10 +427,20 @@ class Effect(ReportFace, ABC):
         Raises EffectError if the structure has no such story, floor or channel, or the story has no drift along which to act.
         """
         kind, _, which = self.location.partition(" ")
-        counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}
-        if kind in counts and self.index >= counts[kind][0]:
-            raise EffectError("{}: {!r} does not exist; {} {}".format(self.name, self.location, *counts[kind]))
-        if kind == "story" and not self.is_stiffness_loss and not structure.single_springs()[self.index]:
+        counts = {
+            "story": (structure.story_places, "stories"),
+            "storey": (structure.story_places, "storeys"),
+            "floor": (structure.mass_places if self.whole_floor else structure.floor_places, "floors"),
+        }
+        if kind in counts and self.location not in counts[kind][0]:
+            there, what = counts[kind]
+            named = "" if there[0] in ("story 1", "floor 1") else f", {there[0]} to {there[-1]}"
+            raise EffectError(f"{self.name}: {self.location!r} does not exist; {len(there)} {what}{named}")
+        if (
+            kind in ("story", "storey")
+            and not self.is_stiffness_loss
+            and not structure.single_springs()[self.index(structure)]
+        ):
             raise EffectError(f"{self.name}: {self.location} is not a single spring, so it has no drift to act along")
         if kind == "channel":
             for name in which.split(","):
@@ -514,7 +539,7 @@ class Effect(ReportFace, ABC):
         return None
 
     def drive(self, forces: Annotated[Array, "samples n"], rate_hz: float) -> Array:
-        """Apply this effect to the floors' forces, N."""
+        """Apply this effect to the floors' forces, N; `monitor.model.driven` adds its `lines`."""
         return forces
 
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
@@ -550,13 +575,23 @@ def blurred_by_form(effect: Effect, fitted: FittedModel, girders: float = 0.0) -
     return np.asarray(np.hypot(effect.form_std, size * np.hypot(_STORY_STD * fitted.correction_rms, girders)))
 
 
+def place_index(location: str, structure: Structure) -> int:
+    """Return the index, from 0, of a story, of a floor that moves one way or of a floor as a whole; ValueError for none."""
+    for places in (structure.story_places, structure.floor_places, structure.mass_places):
+        if location in places:
+            return places.index(location)
+    raise ValueError(f"the structure has no {location}")
+
+
 def _kind(location: str) -> str:
     """Return the kind of place that a location names, or the empty string."""
     kind, _, which = location.partition(" ")
     if kind in ("frame", "base") and not which:
         return kind
-    if kind in ("story", "floor") and which.isdecimal() and int(which) > 0:
-        return kind
+    if kind in ("story", "storey", "floor"):
+        number, _, direction = which.partition(" ")
+        if number.isdecimal() and int(number) > 0 and direction in ("", *DIRECTIONS):
+            return "floor" if kind == "floor" else "story"
     if kind == "channel" and which:
         names = which.split(",")
         return {1: "channel", 2: "channels"}.get(len(names), "") if all(names) else ""
@@ -567,9 +602,9 @@ def locations(kind: str, context: Context) -> tuple[str, ...]:
     """List every place of a kind: ``story``, ``floor``, ``channel``, ``channels``, ``base`` or ``frame``."""
     if kind in ("frame", "base"):
         return (kind,)
+    structure = context.structure
     if kind in ("story", "floor"):
-        count = context.structure.n_stories if kind == "story" else context.structure.n_dofs
-        return tuple(f"{kind} {j + 1}" for j in range(count))
+        return structure.story_places if kind == "story" else structure.floor_places
     names = context.channels
     if kind == "channel":
         return tuple(f"channel {name}" for name in names)

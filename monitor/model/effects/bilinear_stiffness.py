@@ -41,13 +41,13 @@ class BilinearStiffness(Effect):
 
     @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        k = float(context.structure.stiffness_n_per_m[self.index])
+        k = float(context.structure.stiffness_n_per_m[self.index(context.structure)])
         drop = self.relative_drop * k
         return system.plus(stiffness=-drop * mean_contact(k, -drop, 0.0) * self.pattern(context.structure))
 
     @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        drop = self.relative_drop * float(structure.stiffness_n_per_m[self.index])
+        drop = self.relative_drop * float(structure.stiffness_n_per_m[self.index(structure)])
         return (Law(LawKind.CONTACT, self.direction(structure), (0.0, -drop)),)
 
     def form_std_in(self, fitted: FittedModel) -> Array:

@@ -9,7 +9,17 @@ from typing import Self
 import numpy as np
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Law, LawKind, Parameter, System
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    FittedSizes,
+    Law,
+    LawKind,
+    Parameter,
+    System,
+    place_index,
+)
 from monitor.model.structures import Structure
 
 _STICK_FACTOR = 8.0
@@ -45,7 +55,9 @@ class CoulombFriction(Effect):
 
     @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        damping = sqrt(2.0 / pi) * self.friction_force_n / float(condition.drift_velocity_m_s[self.index])
+        damping = (
+            sqrt(2.0 / pi) * self.friction_force_n / float(condition.drift_velocity_m_s[self.index(context.structure)])
+        )
         return system.plus(damping=damping * self.pattern(context.structure))
 
     @override
@@ -54,14 +66,14 @@ class CoulombFriction(Effect):
             return ()
         direction = self.direction(structure)
         mass = 1.0 / float(direction @ np.linalg.solve(structure.mass_matrix(), direction))
-        impedance = sqrt(float(structure.stiffness_n_per_m[self.index]) * mass)
+        impedance = sqrt(float(structure.stiffness_n_per_m[self.index(structure)]) * mass)
         creep = self.friction_force_n / (_STICK_FACTOR * impedance)
         return (Law(LawKind.FRICTION, direction, (self.friction_force_n, creep)),)
 
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        j = int(location.partition(" ")[2]) - 1
+        j = place_index(location, context.structure)
         return (cls(location, 0.03 * float(context.structure.stiffness_n_per_m[j] * condition.drift_m[j])),)
 
     @classmethod

@@ -10,7 +10,17 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, Parameter, System
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    FittedModel,
+    Law,
+    LawKind,
+    Parameter,
+    System,
+    place_index,
+)
 from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 
@@ -48,7 +58,10 @@ class CubicStiffness(Effect):
 
     @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        s, half_force = float(condition.drift_m[self.index]), self._half_force_drift_m(context.structure)
+        s, half_force = (
+            float(condition.drift_m[self.index(context.structure)]),
+            self._half_force_drift_m(context.structure),
+        )
         fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / half_force) ** 4)))
         return system.plus(stiffness=self.k3_n_per_m3 * s**2 * fourth * self.pattern(context.structure))
 
@@ -69,19 +82,20 @@ class CubicStiffness(Effect):
         if not self.is_softening:
             return self.form_std
         size = np.abs(self.coordinates)
-        drift, stiffness = fitted.condition.drift_m[self.index], fitted.structure.stiffness_n_per_m[self.index]
+        j = self.index(fitted.structure)
+        drift, stiffness = fitted.condition.drift_m[j], fitted.structure.stiffness_n_per_m[j]
         return np.asarray(np.hypot(self.form_std, size * 3.0 * size * drift**2 / stiffness))
 
     def _half_force_drift_m(self, structure: Structure) -> float:
         """Compute the drift at which the factor on the cubic force is one half, m."""
         if self.k3_n_per_m3 >= 0.0:
             return 1e30
-        return sqrt(float(structure.stiffness_n_per_m[self.index]) / -self.k3_n_per_m3)
+        return sqrt(float(structure.stiffness_n_per_m[self.index(structure)]) / -self.k3_n_per_m3)
 
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        j = int(location.partition(" ")[2]) - 1
+        j = place_index(location, context.structure)
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))
 

@@ -8,7 +8,17 @@ from typing import Self
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Law, LawKind, Parameter, System
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    FittedSizes,
+    Law,
+    LawKind,
+    Parameter,
+    System,
+    place_index,
+)
 from monitor.model.structures import Structure
 
 
@@ -44,8 +54,8 @@ class GapContact(Effect):
 
     @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        k = float(context.structure.stiffness_n_per_m[self.index])
-        s = float(condition.drift_m[self.index])
+        k = float(context.structure.stiffness_n_per_m[self.index(context.structure)])
+        s = float(condition.drift_m[self.index(context.structure)])
         share = mean_contact(k, self.contact_stiffness_n_per_m, abs(self.gap_m) / s)
         return system.plus(stiffness=self.contact_stiffness_n_per_m * share * self.pattern(context.structure))
 
@@ -61,7 +71,7 @@ class GapContact(Effect):
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        j = int(location.partition(" ")[2]) - 1
+        j = place_index(location, context.structure)
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, gap * s, 0.5 * k) for gap in (1.2, 1.7, 2.2, -1.2, -1.7, -2.2))
 

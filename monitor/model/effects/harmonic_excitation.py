@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, pi
+from math import inf
 from typing import Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedModel, FittedSizes, Line, Parameter, Peak
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    FittedModel,
+    FittedSizes,
+    Line,
+    Parameter,
+    Peak,
+    place_index,
+)
 
 _FREQUENCY_STD_BINS = 0.02
 """Standard deviation of a line's frequency as read from the taper's leakage. Another model describes the bins about a
@@ -40,13 +50,7 @@ class HarmonicExcitation(Effect):
 
     @override
     def lines(self) -> tuple[Line, ...]:
-        return (Line(self.index, self.frequency_hz, self.force_n),)
-
-    @override
-    def drive(self, forces: Array, rate_hz: float) -> Array:
-        driven = forces.copy()
-        driven[:, self.index] += self.force_n * np.sin(2.0 * pi * self.frequency_hz / rate_hz * np.arange(len(forces)))
-        return driven
+        return (Line(self.location, self.frequency_hz, self.force_n),)
 
     @override
     def form_std_in(self, fitted: FittedModel) -> Array:
@@ -60,8 +64,8 @@ class HarmonicExcitation(Effect):
     @classmethod
     def _weak(cls, location: str, hz: float, context: Context, condition: Condition) -> Self:
         """Make a weak harmonic force at a frequency."""
-        j = int(location.partition(" ")[2]) - 1
-        return cls(location, hz, 0.1 * float(context.structure.masses_kg[j] * condition.channel_m_s2.mean()))
+        j = place_index(location, context.structure)
+        return cls(location, hz, 0.1 * float(context.structure.inertia_kg[j] * condition.channel_m_s2.mean()))
 
     @classmethod
     @override

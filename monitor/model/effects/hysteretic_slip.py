@@ -11,7 +11,17 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Law, LawKind, Parameter, System
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    FittedSizes,
+    Law,
+    LawKind,
+    Parameter,
+    System,
+    place_index,
+)
 from monitor.model.structures import Structure
 
 _LOG10_DRIFTS = np.linspace(-3.0, 3.0, 121)
@@ -101,14 +111,16 @@ class HystereticSlip(Effect):
         if self.force_n == 0.0 or self.relative == 0.0:
             return ()
         k, rows = structure.stiffness_n_per_m, structure.drift_matrix()
-        stories = range(structure.n_stories) if self.location == "frame" else (self.index,)
+        stories = range(structure.n_stories) if self.location == "frame" else (self.index(structure),)
         slip_m = self.force_n / (self.relative * float(k[list(stories)].mean()))
         return tuple(Element(j, rows[j], self.relative * float(k[j]) * slip_m, slip_m) for j in stories)
 
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        j = 0 if location == "frame" else cls(location, 0.0, 0.0).index  # the stories of a frame are of one order
+        j = (
+            0 if location == "frame" else place_index(location, context.structure)
+        )  # the stories of a frame are of one order
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, 0.1 * k * s * slip, 0.1) for slip in (0.5, 2.0))
 

@@ -8,7 +8,17 @@ from typing import Self
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Law, LawKind, Parameter, System
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    FittedSizes,
+    Law,
+    LawKind,
+    Parameter,
+    System,
+    place_index,
+)
 from monitor.model.structures import Structure
 
 
@@ -35,7 +45,7 @@ class QuadraticDamping(Effect):
 
     @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        speed = float(condition.floor_velocity_m_s[self.index])
+        speed = float(condition.floor_velocity_m_s[self.index(context.structure)])
         damping = sqrt(8.0 / pi) * self.coefficient_n_s2_per_m2 * speed
         return system.plus(damping=damping * self.pattern(context.structure))
 
@@ -46,10 +56,10 @@ class QuadraticDamping(Effect):
     @classmethod
     @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        j = int(location.partition(" ")[2]) - 1
+        j = place_index(location, context.structure)
         structure = context.structure
         stiffness = float(structure.stiffness_matrix()[j, j])
-        own = 2.0 * structure.damping_ratio * sqrt(stiffness * float(structure.masses_kg[j]))
+        own = 2.0 * structure.damping_ratio * sqrt(stiffness * float(structure.inertia_kg[j]))
         return (cls(location, 0.5 * own / (sqrt(8.0 / pi) * float(condition.floor_velocity_m_s[j]))),)
 
     @classmethod

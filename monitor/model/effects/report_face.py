@@ -28,6 +28,7 @@ _UNITS = (
     ("_s", "s"),
     ("seconds", "s"),
     ("per_degc", "1/K"),
+    ("_deg", "°"),
 )
 """Pairs of a parameter name's suffix and its unit; the first suffix that fits counts."""
 _SIZED_STDS = 2.0
@@ -139,7 +140,7 @@ class FittedSizes:
         """
         if not self.location.startswith("floor "):
             return ""
-        share = 100.0 * self.value(name) / self.structure.masses_kg[int(self.place_name) - 1]
+        share = 100.0 * self.value(name) / self.structure.masses_kg[int(self.place_name.partition(" ")[0]) - 1]
         return f" ({share:.1f} % of the floor's mass)"
 
 

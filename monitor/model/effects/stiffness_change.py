@@ -37,7 +37,7 @@ class StiffnessChange(Effect):
     def altered(self, structure: Structure) -> Structure:
         if self.location == "frame":
             return structure
-        return structure.changed(self.relative * np.eye(structure.n_stories)[self.index])
+        return structure.changed(self.relative * np.eye(structure.n_stories)[self.index(structure)])
 
     @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:

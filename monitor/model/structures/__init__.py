@@ -4,8 +4,9 @@ Each kind has a file of its own; `tables` reads their parameters from TOML.
 """
 
 from monitor.model.structures.base import Structure
+from monitor.model.structures.building import Building
 from monitor.model.structures.condensation import condense_massless
 from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame
 
-__all__ = ["MatrixStructure", "ShearFrame", "Structure", "condense_massless"]
+__all__ = ["Building", "MatrixStructure", "ShearFrame", "Structure", "condense_massless"]

@@ -14,10 +14,10 @@ from monitor.core import Array
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Structure(ABC):
-    """Structure of N degrees of freedom ("floors") and p stiffnesses ("stories"), the parameters that updating estimates."""
+    """Structure of N degrees of freedom, b masses and p stiffnesses ("stories"), the parameters that updating estimates."""
 
-    masses_kg: Annotated[Array, "N"]
-    """Diagonal of the mass matrix, floor 1 (the top one) first."""
+    masses_kg: Annotated[Array, "b"]
+    """Masses; by default one a degree of freedom, the diagonal of the mass matrix, floor 1 (the top one) first."""
     stiffness_n_per_m: Annotated[Array, "p"]
     """Stiffnesses, story 1 (the top one) first."""
     damping_ratio: float
@@ -33,12 +33,42 @@ class Structure(ABC):
     @property
     def n_dofs(self) -> int:
         """Number N of degrees of freedom and of modes."""
+        return self.n_masses
+
+    @property
+    def n_masses(self) -> int:
+        """Number b of masses."""
         return int(self.masses_kg.size)
 
     @property
     def n_stories(self) -> int:
         """Number p of stiffnesses."""
         return int(self.stiffness_n_per_m.size)
+
+    @property
+    def inertia_kg(self) -> Annotated[Array, "N"]:
+        """Inertia of each degree of freedom alone, the diagonal of the mass matrix, kg."""
+        return self.masses_kg
+
+    @property
+    def rides(self) -> Annotated[Array, "N"]:
+        """Displacement of each degree of freedom as the ground moves by one, with the structure at rest on it."""
+        return np.ones(self.n_dofs)
+
+    @property
+    def story_places(self) -> tuple[str, ...]:
+        """Places of the stiffnesses, as effects name them."""
+        return tuple(f"story {j + 1}" for j in range(self.n_stories))
+
+    @property
+    def floor_places(self) -> tuple[str, ...]:
+        """Places of the degrees of freedom, on which forces act."""
+        return tuple(f"floor {j + 1}" for j in range(self.n_dofs))
+
+    @property
+    def mass_places(self) -> tuple[str, ...]:
+        """Places of the masses."""
+        return tuple(f"floor {j + 1}" for j in range(self.n_masses))
 
     @property
     def built(self) -> Annotated[Array, "p"]:
@@ -78,8 +108,13 @@ class Structure(ABC):
         """Assemble the stiffness matrix, N/m; symmetric."""
 
     @abstractmethod
-    def mass_derivatives(self) -> Annotated[Array, "N N N"]:
+    def mass_derivatives(self) -> Annotated[Array, "b N N"]:
         """Differentiate the mass matrix by the masses: dM / dm_i, first axis the mass."""
+
+    def added_mass(self, floor: int) -> Annotated[Array, "N N"]:
+        """Assemble the mass matrix of one kilogram on a floor (0 = first), by default on its degree of freedom alone."""
+        one = np.eye(self.n_dofs)[floor]
+        return np.outer(one, one)
 
     @abstractmethod
     def stiffness_derivatives(self) -> Annotated[Array, "p N N"]:

@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from monitor.core import Array, Settings
+from monitor.core import Array, ComplexArray, Settings
+from monitor.model.structures.building import Building
 
 _FRAME_WIDTH = 0.4
 """Width of a drawn frame over its height. [ratio; judgement]"""
+
+_BUILDING_WIDTH = 0.5
+"""Longest side of a drawn building's plan over its height. [ratio; judgement: mode shapes stand side by side]"""
 
 Dof = Annotated[int, Field(ge=1)] | None
 
@@ -60,6 +64,14 @@ class Drawing:
     """Story of each line, from 0; -1 for none."""
     names: tuple[str, ...] = ()
     """Name of each point; empty for none."""
+    motion: Annotated[Array, "n 3 N"] | None = None
+    """Motion of each point by the degrees of freedom, where floors turn; None: that of `dofs`."""
+
+    def displaced(self, whole: Annotated[ComplexArray, "N"]) -> Annotated[ComplexArray, "n 3"]:
+        """Compute the points' displacements by those of the degrees of freedom."""
+        if self.motion is not None:
+            return np.asarray(self.motion @ whole)
+        return np.where(self.dofs >= 0, whole[self.dofs], 0.0)
 
     @classmethod
     def of(cls, nodes: Sequence[NodeTable], lines: Sequence[LineTable]) -> Self:
@@ -84,6 +96,36 @@ class Drawing:
         edges = [(4 * i + c, 4 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
         stories = np.append(np.repeat(np.arange(n), 4), np.full(len(edges), -1)).astype(np.intp)
         return cls(points, dofs, np.array([*columns, *edges], dtype=np.intp), stories)
+
+    @classmethod
+    def of_building(cls, structure: Building, story_heights_m: Array) -> Self:
+        """Make the drawing of a building, the lowest storey first.
+
+        Each storey has braces in the faces along x and along y, which stand for its stiffnesses, and a line in the middle for
+        that about z; a building that moves one way has the braces of that way.
+        """
+        n, levels = len(story_heights_m), np.append(0.0, np.cumsum(story_heights_m))
+        half = 0.5 * structure.plan_m[[0, *range(n)]]
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (0, 0)])  # and the middle
+        at = corners * half[:, None]
+        flat = at * _BUILDING_WIDTH * levels[-1] / structure.plan_m.max()
+        points = np.concatenate([flat, np.broadcast_to(levels[:, None, None], (n + 1, 5, 1))], axis=2).reshape(-1, 3)
+        dofs = np.full((n + 1, 5, 3), -1, dtype=np.intp)
+        for i, d in enumerate(structure.directions):
+            if d != "torsion":
+                dofs[1:, :, "xy".index(d)] = i * n + np.arange(n)[:, None]
+        lines, stories = [], []
+        faces = {"x": ((0, 1), (3, 2)), "y": ((0, 3), (1, 2)), "torsion": ((4, 4),)}
+        for i, d in enumerate(structure.directions):
+            for j in range(n):
+                lines += [(5 * j + a, 5 * j + 5 + b) for a, b in faces[d]]
+                stories += [i * n + j] * len(faces[d])
+        grey = [(5 * j + c, 5 * j + 5 + c) for j in range(n) for c in range(4)]
+        grey += [(5 * i + c, 5 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
+        members = np.array([*stories, *[-1] * len(grey)], dtype=np.intp)
+        on = structure.points_motion(np.repeat(np.arange(n + 1), 5).tolist(), at.reshape(-1, 2))
+        motion = np.concatenate([on, np.zeros_like(on[:, :1])], axis=1)
+        return cls(points, dofs.reshape(-1, 3), np.array([*lines, *grey], dtype=np.intp), members, motion=motion)
 
     @classmethod
     def of_bars(cls, n_stories: int) -> Self:

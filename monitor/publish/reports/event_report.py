@@ -48,9 +48,9 @@ class EventPage:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the stories."""
+        """Names of the stories, as of their drifts."""
         n = self.event.drift_m.size
-        return tuple(f"story {j + 1}" for j in range(n)) if self.site is None else self.site.names
+        return tuple(f"story {j + 1}" for j in range(n)) if self.site is None else self.site.names[:n]
 
 
 def write_event(path: Path, page: EventPage) -> None:
@@ -291,7 +291,8 @@ def _loss(sheet: Sheet, page: EventPage) -> None:
         why = e.note if e.revision == _REVISED else f"not known until the revision after {hours} of ambient motion"
         sheet.text(f"{why[:1].upper() + why[1:]}.")
         return
-    losses = zip(page.names, e.loss, e.loss_std, strict=True)
+    names = page.names if page.site is None else page.site.names
+    losses = zip(names, e.loss, e.loss_std, strict=True)
     sheet.table(["story", "#lost, %"], [(name, _with_std(100 * loss, 100 * std)) for name, loss, std in losses])
     if e.revision == _REVISED:
         sheet.note("Stiffness of ambient motion after the event against that before it; with two standard deviations.")

@@ -187,6 +187,7 @@ def hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int,
     for a in summary.get("alarms", ()):
         last, modal = a["t_last_ns"], bool(a.get("part"))
         story, size, std = ("part", "change", "change_std") if "part" in a else ("story", "ddi", "ddi_std")
+        story = "index" if "index" in a else story
         loss = Loss(
             Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal,
             a.get("t_level_ns"),
@@ -487,7 +488,9 @@ def _alarms(page: Sheet, period: Period) -> None:
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or present
         actions = actions or ("nobody yet" if period.live is None else _UNKNOWN)
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
+        diagnosis = diagnosis_of(e, period.findings, period.known.names) or (
+            "needs a model" if e.modal else "not diagnosed"
+        )
         where, size = _name(e.story, period), f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
         size = (
             period.known.parts.size(e.story, e.ddi, e.ddi_std) if period.known.relative and where not in ALONE else size

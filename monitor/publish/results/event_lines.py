@@ -48,6 +48,7 @@ def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
         "peak_acceleration_m_s2": {f.channel: rounded(f.peak_m_s2) for f in event.floors},
         "ground_peak_m_s2": None if event.ground is None else rounded(event.ground.peak_m_s2),
         **numbers,
+        **({"drift_corner_peak_m": rounded(event.drift_corner_m)} if event.drift_corner_m.size else {}),
         "verdict": event.verdict,
         "exceeded": list(event.exceeded),
         "saturated": list(event.saturated),
@@ -83,6 +84,7 @@ def read_event(line: Mapping[str, Any]) -> Event:
         saturated=tuple(line.get("saturated", ())),
         cut=bool(line.get("cut", False)),
         note=str(line["note"]),
+        drift_corner_m=_array(line.get("drift_corner_peak_m") or []),
     )
 
 

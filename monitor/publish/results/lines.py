@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.core import WHOLE, Alarm, Level, finish, parse_json, partial
-from monitor.damage import AlarmState, Parts, State, WindowFacts, hold
+from monitor.damage import AlarmState, Parts, State, WindowFacts, hold, located
 from monitor.publish.results.window_fields import announced, checked_line
 
 
@@ -21,10 +21,10 @@ def alarm_line(alarm: Alarm) -> dict[str, Any]:
     }
 
 
-def current_alarm_line(state: AlarmState, parts: Parts) -> dict[str, Any]:
+def current_alarm_line(state: AlarmState, parts: Parts, names: Sequence[str] = ()) -> dict[str, Any]:
     """Collect the values of the present alarm, operators' requests since the latest window included."""
     _, present = hold(state, 0, parts)
-    return {key: value for key, value in alarm_line(present).items() if key != "reason"}
+    return {key: value for key, value in alarm_line(located(present, names)).items() if key != "reason"}
 
 
 def to_json(value: dict[str, Any]) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Gap, ModalEstimate, WindowResult
+from monitor.core import WHOLE, Gap, ModalEstimate, WindowResult, storey_of
 from monitor.damage import Course, Known, Loss, WindowFacts, follow
 from monitor.signals import Health
 
@@ -77,11 +77,13 @@ class Summary:
                 self.other_modes.append((1, other.frequency_hz))
         self.missing_modes |= {mode + 1: why for mode, why in found.missing}
 
-    def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
+    def content(
+        self, realtime_factor: float, model_frequencies_hz: list[float], names: Sequence[str] = ()
+    ) -> dict[str, Any]:
         """Return the counts for summary.json.
 
         `realtime_factor` is the length of the data over the time of their evaluation; without a model there are no
-        frequencies of it.
+        frequencies of it.  The `names` are those of the stories.
         """
         most = max((n for n, _ in [*self.modes.values(), *self.other_modes]), default=0)
         means = {mode: hz for mode, (n, hz) in sorted(self.modes.items()) if n >= _COMMON_MODE * most}
@@ -91,7 +93,7 @@ class Summary:
             "windows": self.course.windows,
             "skipped": self.course.skipped,
             "skip_reasons": self.course.skip_reasons,
-            "alarms": [episode_content(loss) for loss in self.course.losses],
+            "alarms": [episode_content(loss, names) for loss in self.course.losses],
             "channels_left_out": [asdict(outage) for outage in self.course.outages],
             "dropped_samples": self.dropped_samples,
             "gaps": self.gaps,
@@ -111,8 +113,11 @@ def _with_value(mean: tuple[int, float], value: float) -> tuple[int, float]:
     return count, mean[1] + share * (value - mean[1])
 
 
-def episode_content(loss: Loss) -> dict[str, Any]:
+def episode_content(loss: Loss, names: Sequence[str] = ()) -> dict[str, Any]:
     """Return an alarm episode as it stands in summary.json; `story` is None for the whole structure, and of modes alone.
+
+    In a building, whose stiffnesses have `names`, it is the storey's number, `direction` its direction, and `index` the number of
+    its stiffness in the lists of a line, from 1.
 
     Of modes alone `part` is the number of what changed (`damage.modal_parts`), and `change` its size in place of a loss.
     """
@@ -121,6 +126,8 @@ def episode_content(loss: Loss) -> dict[str, Any]:
     if loss.modal:
         size, std = content.pop("ddi"), content.pop("ddi_std")
         content |= {"story": None, "part": loss.story, "change": size, "change_std": std, "ddi": None, "ddi_std": None}
+    elif 0 < loss.story <= len(names) and (place := storey_of(names[loss.story - 1])) is not None:
+        content |= {"story": place[0], "direction": place[1], "index": loss.story}
     return content
 
 

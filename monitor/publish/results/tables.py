@@ -90,8 +90,8 @@ def window_row(line: Mapping[str, Any], kept: Sequence[Field] = KEPT) -> Row:
 
 def alarm_row(episode: Mapping[str, Any]) -> Row:
     """Return the row of an alarm, given as in summary.json; see `History.episodes`."""
-    row = {key: value for key, value in episode.items() if key not in {"part", "t_level_ns"}}
-    return row | {"story": episode.get("part", episode["story"]) or 0}
+    row = {key: value for key, value in episode.items() if key not in {"part", "t_level_ns", "direction", "index"}}
+    return row | {"story": episode.get("part", episode.get("index", episode["story"])) or 0}
 
 
 def insert(database: sqlite3.Connection, table: str, row: Row) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Any, NotRequired
+from typing import Annotated, Any, Literal, NotRequired
 
 import numpy as np
 from annotated_types import Interval
@@ -28,6 +28,7 @@ class _Alarm(TypedDict, total=False):
     __pydantic_config__ = _STRICT  # type: ignore[misc]
     level: str
     stories: list[_Integer] | None
+    directions: list[Literal["x", "y", "torsion"]]
     reason: str
     active: dict[str, str]
     shelved: list[_Integer] | None
@@ -140,6 +141,7 @@ def announced(alarm: Alarm) -> dict[str, Any]:
     return {
         "level": alarm.level.value,
         "stories": list(alarm.stories),
+        **({"directions": list(alarm.directions)} if alarm.directions is not None else {}),
         "reason": alarm.reason,
         "active": {str(story): level.value for story, level in alarm.active.items()},
     }
@@ -244,7 +246,8 @@ FIELDS = (
     Field("alarm", Kind.ALARM, _alarm,
           "`normal`, `advisory` (significant, not confirmed), `warning` (confirmed), `alarm` (confirmed, 10 % or "
           "more), the stories and the reason; `active` has the level of each story (0: the structure as a whole) "
-          "or, without a model, of each mode and shape. A level is held until the data surely say less "
+          "or, without a model, of each mode and shape; in a building, of each stiffness by its place in the lists, and "
+          "`directions` has the direction of each storey. A level is held until the data surely say less "
           "([alarms](alarms.md#levels))."),
     Field("channels_left_out", Kind.TEXTS, lambda r: [gone.channel for gone in r.left_out],
           "Channels of which no use was made.", shown=True),

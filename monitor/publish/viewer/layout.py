@@ -14,6 +14,8 @@ from monitor.publish.viewer.scene import STABILISATION, Scene
 from monitor.publish.viewer.state import LAMP
 
 DARK = (24, 26, 30)
+_BUILDING_RISE = 0.6
+"""Height from which a building is seen, over the distance. [ratio; judgement: both directions and the turns are seen]"""
 _DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
 """Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
 _MODES_IN_A_COLUMN = 3
@@ -55,14 +57,15 @@ def alone(views: rrb.Container, **time: Any) -> rrb.Blueprint:
 def _frame(scene: Scene) -> rrb.Spatial3DView:
     """Make the 3D view of the structure and its mode shapes, seen from the front."""
     name = "Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes"
-    return view_from_front("/frame", name, scene.plan.low, scene.plan.high)
+    rise = 0.15 if scene.drawing.motion is None else _BUILDING_RISE
+    return view_from_front("/frame", name, scene.plan.low, scene.plan.high, rise)
 
 
-def view_from_front(origin: str, name: str, low: Array, high: Array) -> rrb.Spatial3DView:
-    """Make the 3D view of a box between two corners, seen from the front."""
+def view_from_front(origin: str, name: str, low: Array, high: Array, rise: float = 0.15) -> rrb.Spatial3DView:
+    """Make the 3D view of a box between two corners, seen from the front and from above by a rise."""
     centre, (width, _, height) = 0.5 * (low + high), high - low
     away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
-    eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
+    eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, rise]), look_target=centre)
     return rrb.Spatial3DView(
         origin=origin, name=name, eye_controls=eye, line_grid=rrb.LineGrid3D(visible=False), background=DARK
     )

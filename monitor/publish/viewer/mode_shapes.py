@@ -27,24 +27,23 @@ def label(rows: Rows, path: str, places: list[tuple[float, float, float]], label
 
 
 def expand_shape(
-    shape: Annotated[ComplexArray, "c"], model_shape: Annotated[Array, "n"], sensors: Annotated[Array, "c"]
+    shape: Annotated[ComplexArray, "c"], model_shape: Annotated[Array, "n"], sensors: Annotated[Array, "c n"]
 ) -> Annotated[ComplexArray, "n"]:
     """Expand a measured mode shape to all degrees of freedom by the model's shape, which is fitted to the sensors.
 
-    The measured shape is NaN at a channel that is left out; `sensors` are their degrees of freedom, from 0.
+    The measured shape is NaN at a channel that is left out; `sensors` is what each sees of the degrees of freedom.
 
     Examples
     --------
-    >>> expand_shape(np.array([2.0 + 0j]), np.array([1.0, 0.5]), np.array([0])).real.tolist()
+    >>> expand_shape(np.array([2.0 + 0j]), np.array([1.0, 0.5]), np.array([[1.0, 0.0]])).real.tolist()
     [2.0, 1.0]
     """
     known = np.isfinite(shape)
     shape, sensors = shape[known], sensors[known]
-    at_sensors = model_shape[sensors]
+    at_sensors = sensors @ model_shape
     size = float(at_sensors @ at_sensors)
     out = model_shape * ((at_sensors @ shape) / size if size > 0.0 else 0.0 + 0.0j)
-    out[sensors] = shape
-    return np.asarray(out)
+    return np.asarray(out + np.linalg.pinv(sensors) @ (shape - sensors @ out))
 
 
 class ModeShapes:
@@ -52,12 +51,11 @@ class ModeShapes:
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows) -> None:
         self._scene, self._stream, self._to, self._plan = scene, stream, to, scene.plan
-        self._sensors = np.array(scene.sensor_floor) - 1
         dofs = scene.drawing.dofs
-        self._n_dofs = int(max(dofs.max(initial=-1), self._sensors.max(initial=-1))) + 1
+        self._n_dofs = max(int(dofs.max(initial=-1)) + 1, scene.sensors.shape[1])
+        self._sensors = np.pad(scene.sensors, ((0, 0), (0, self._n_dofs - scene.sensors.shape[1])))
         self._model_shapes: Array | None = None
         if scene.model is not None:
-            self._n_dofs = scene.model.structure.n_dofs
             self._model_shapes = scene.model.modes().shapes[: self._n_dofs]
         self._moving = np.flatnonzero((dofs >= 0).any(axis=1))
         self._latest: ModalEstimate | None = None
@@ -108,8 +106,7 @@ class ModeShapes:
         """Compute the motion of the points: at most `_DEFLECTION` where `turn` is 1."""
         model_shape = np.zeros(self._n_dofs) if self._model_shapes is None else self._model_shapes[:, mode]
         whole = expand_shape(shape, model_shape, self._sensors)
-        dofs = self._scene.drawing.dofs
-        motion = np.where(dofs >= 0, whole[dofs], 0.0)
+        motion = self._scene.drawing.displaced(whole)
         largest = max(float(np.linalg.norm(motion.real, axis=1).max()), 1e-12)
         return np.asarray((motion * turn).real * (_DEFLECTION / largest))
 

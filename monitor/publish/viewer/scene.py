@@ -110,8 +110,8 @@ class Scene:
 
     name: str
     channels: tuple[str, ...]
-    sensor_floor: tuple[int, ...]
-    """Floor of each channel, from 1 = top."""
+    sensors: Annotated[Array, "c N"]
+    """What each channel sees of the degrees of freedom."""
     drawing: Drawing
     story_names: tuple[str, ...]
     baseline_frequencies_hz: Annotated[Array, "m"] | None
@@ -157,7 +157,7 @@ def feature_scene(name: str, features: Features, learned: Mapping[str, LearnedRa
     return Scene(
         name=name,
         channels=(),
-        sensor_floor=(),
+        sensors=np.zeros((0, 0)),
         drawing=Drawing(np.zeros((1, 3)), np.full((1, 3), -1), none, none[:, 0]),
         story_names=(),
         baseline_frequencies_hz=None,
@@ -177,7 +177,7 @@ def make_scene(config: Configuration, baseline: AnyBaseline | None) -> Scene:
     scene = Scene(
         name=config.site.name or config.structure.name or "structure",
         channels=config.channels,
-        sensor_floor=tuple(range(1, len(config.channels) + 1)),
+        sensors=np.eye(len(config.channels)),
         drawing=config.drawing,
         story_names=(),
         baseline_frequencies_hz=None,
@@ -192,13 +192,13 @@ def make_scene(config: Configuration, baseline: AnyBaseline | None) -> Scene:
     if not config.has_model:
         assert baseline is None  # a model's baseline belongs to a structure with a model
         return scene
-    floors = {sensor.channel: sensor.floor for sensor in config.floor_sensors if sensor.floor is not None}
-    model = config.model()
+    site = config.instrumented()
+    model = site.model
     below = int((model.modes().frequencies_hz <= scene.cutoff_hz).sum())
     return replace(
         scene,
-        channels=tuple(floors),
-        sensor_floor=tuple(floors.values()),
+        channels=site.channels,
+        sensors=site.sensor_matrix,
         story_names=config.story_names,
         baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
         model=model if baseline is None else baseline.model,

@@ -45,7 +45,7 @@ def predict_power(scene: Scene, result: WindowResult, hz: Annotated[Array, "bins
         damping[result.modes.model_mode] = result.modes.damping_ratio
     w = 2.0 * np.pi * hz[:, None]
     modal = w**2 / (modes.eigenvalues - w**2 + 2j * damping * np.sqrt(modes.eigenvalues) * w)
-    sensor_shapes = modes.shapes[[floor - 1 for floor in scene.sensor_floor]]
+    sensor_shapes = scene.sensors @ modes.shapes
     return np.asarray((np.abs(np.einsum("cm,fm,nm->fcn", sensor_shapes, modal, modes.shapes)) ** 2).sum(axis=2))
 
 

@@ -1,0 +1,69 @@
+"""What a set of sensors will tell before there are data: which stiffnesses the modes in the band determine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from monitor.core import DIRECTION_WORDS, Array, storey_of
+from monitor.damage.updating import Observation, predict
+from monitor.model import InstrumentedModel
+
+_FORESEEN_EIGENVALUE_STD = 0.01
+"""Standard deviation of the logarithm of an eigenvalue. [1; judgement: a frequency within 0.5 %, as after minutes]"""
+_FORESEEN_SHAPE_STD = 0.03
+"""Standard deviation of a component of a shape whose largest is 1. [1; judgement]"""
+_LEAST_MOTION = 0.1
+"""Motion at the sensors in a mode of unit modal mass, over the largest of any mode, below which they do not see the mode.
+[ratio; judgement]"""
+_TOLD_STD = 0.05
+"""Largest standard deviation of a loss that is told. [ratio; definition: two of them are a loss of 10 %]"""
+
+
+def foreseen_std(site: InstrumentedModel, modes: Sequence[int]) -> Annotated[Array, "p p"]:
+    """Predict the covariance of the relative changes of stiffness by the modes (0 = lowest) that are in the band."""
+    sensors, shapes = site.sensor_matrix, site.model.modes().shapes[:, list(modes)]
+    moved = np.abs(sensors @ shapes)
+    seen = np.flatnonzero(moved.max(axis=0, initial=0.0) > _LEAST_MOTION * moved.max(initial=1e-300))
+    prior = np.diag(site.stiffness_prior_std**-2.0)
+    if not seen.size:
+        return np.asarray(np.linalg.inv(prior), dtype=np.float64)
+    used = tuple(int(modes[k]) for k in seen.tolist())
+    gauges = tuple(moved[:, seen].argmax(axis=0).tolist())
+    size = len(used) * len(sensors)
+    nothing = Observation(np.zeros(size), np.eye(size), np.zeros((0, size)), used, gauges, log=True)
+    sensitivity = predict(site.model, sensors, nothing, with_masses=False)[1] * site.model.structure.stiffness_n_per_m
+    std = np.repeat([_FORESEEN_EIGENVALUE_STD, _FORESEEN_SHAPE_STD], [len(used), size - len(used)])
+    scaled = sensitivity / std[:, None]
+    return np.asarray(np.linalg.inv(prior + scaled.T @ scaled))
+
+
+def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Sequence[str]) -> list[str]:
+    """Say which stiffnesses the sensors tell apart, of which direction only the whole, and what they do not see."""
+    covariance = foreseen_std(site, modes)
+    told = np.sqrt(np.diag(covariance)) <= _TOLD_STD
+    groups: dict[str, list[int]] = {}
+    for j, name in enumerate(names):
+        place = storey_of(name)
+        groups.setdefault("" if place is None else DIRECTION_WORDS[place[1]], []).append(j)
+    says = []
+    for words, members in groups.items():
+        of_data = (
+            np.linalg.inv(covariance[np.ix_(members, members)]).sum()
+            - (site.stiffness_prior_std[members] ** -2.0).sum()
+        )
+        whole = of_data >= _TOLD_STD**-2.0
+        subject, which = f"{words}: " if words else "", [names[j] for j in members if told[j]]
+        numbers = ", ".join(str((storey_of(name) or (name,))[0]) for name in which)
+        rest = "the others only as a whole" if whole else "the others not"
+        if len(which) == len(members):
+            says.append(f"{subject}every storey is told from the others")
+        elif which:
+            says.append(f"{subject}told are {numbers}, {rest}")
+        elif whole:
+            says.append(f"{subject}seen as a whole: a loss there is told, but not in which storey")
+        else:
+            says.append(f"{subject}not seen")
+    return says
