@@ -19,7 +19,7 @@ from monitor.diagnosis.story_forces import StoryLaw
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.diagnosis.witness import NOT_DETERMINED
 from monitor.inference import Segments
-from monitor.model import FORMS, Building, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
+from monitor.model import FORMS, Building, Effect, LawFamily, Model, StructuralPrior
 
 
 def content(
@@ -195,19 +195,12 @@ def structure_text(text: str, model: Model, reference_degc: float | None = None)
     document = tomlkit.parse(text)
     table: Any = document["structure"]
     structure = model.structure
-    if isinstance(structure, Building):
-        for key, values in structure.storey_values().items():
+    for key, values in structure.in_file().items():
+        if isinstance(structure, Building):
             for storey, value in zip(document["storeys"], _plain(values), strict=True):
                 storey[key] = value
-    else:
-        table["stiffness_n_per_m"] = _plain(structure.stiffness_n_per_m)
-    if isinstance(structure, MatrixStructure):
-        # As numbers, not as names of files, which would be looked for beside the new file.
-        table["mass_matrix"] = _plain(structure.mass_matrix())
-        table["stiffness_matrix"] = _plain(structure.stiffness_matrix())
-        table["stiffness_derivatives"] = _plain(structure.stiffness_derivatives())
-    elif not isinstance(structure, Building):
-        table["masses_kg"] = _plain(structure.masses_kg)
+        else:
+            table[key] = _plain(values)
     if model.modal_damping is not None:
         table["modal_damping_ratio"] = _plain(model.modal_damping)
     if model.correction is not None and model.correction.any():

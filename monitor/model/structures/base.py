@@ -91,6 +91,10 @@ class Structure(ABC):
         """Return the structure with other masses."""
         return replace(self, masses_kg=masses_kg)
 
+    def in_file(self) -> dict[str, Array]:
+        """Return what a structure file holds of masses and stiffnesses, by its keys."""
+        return {"stiffness_n_per_m": self.stiffness_n_per_m, "masses_kg": self.masses_kg}
+
     @abstractmethod
     def drift_matrix(self) -> Annotated[Array, "p N"]:
         """Return the matrix from displacements to the elongations of the stories' springs: dK_j = d_j d_j^T."""

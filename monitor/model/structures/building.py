@@ -78,8 +78,9 @@ class Building(Structure):
         alone = len(self.directions) == 1
         return np.repeat([float(alone or d == self.ground_axis) for d in self.directions], self.n_masses)
 
-    def storey_values(self) -> dict[str, Annotated[Array, "n"]]:
-        """Return masses and stiffnesses by the keys of ``[[storeys]]``."""
+    @override
+    def in_file(self) -> dict[str, Array]:
+        """By the keys of ``[[storeys]]``, one value a storey."""
         of_directions = self.stiffness_n_per_m.reshape(len(self.directions), -1)
         stiffness = {_KEYS[d]: own for d, own in zip(self.directions, of_directions, strict=True)}
         return {"mass_kg": self.masses_kg, **stiffness}

@@ -56,6 +56,16 @@ class MatrixStructure(Structure):
         return np.asarray(values[:, :-1].sum(axis=1) < _SINGLE_SPRING * values[:, -1])
 
     @override
+    def in_file(self) -> dict[str, Array]:
+        """As numbers, not as names of files, which would be looked for beside a new file."""
+        matrices = {"mass_matrix": self.mass_matrix(), "stiffness_matrix": self.stiffness_matrix()}
+        return {
+            "stiffness_n_per_m": self.stiffness_n_per_m,
+            **matrices,
+            "stiffness_derivatives": self.stiffness_derivatives(),
+        }
+
+    @override
     def mass_matrix(self) -> Array:
         root = np.sqrt(self.masses_kg)
         return np.asarray(self.mass_coupling * np.outer(root, root))
