@@ -33,6 +33,7 @@ from .naming import (
     name_stories as name_stories,
     name_stories_in as name_stories_in,
     storey_of as storey_of,
+    story_name as story_name,
 )
 from .optimization import levenberg_marquardt as levenberg_marquardt
 from .parallel import parallel_map as parallel_map

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-_STORY = re.compile(r"\b(story) (\d+)\b(?! \()", re.IGNORECASE)
+_STORY = re.compile(r"\b(story) (\d+)\b(?! \(| from the top)", re.IGNORECASE)
 _PLACE = re.compile(r"\b(storey|floor) (\d+) (x|y|torsion)\b", re.IGNORECASE)
 DIRECTION_WORDS = {"x": "along x", "y": "along y", "torsion": "in torsion"}
 """Directions of a building's storeys and floors, in words. [words]"""
@@ -30,10 +30,7 @@ def name_stories(text: str, names: Sequence[str]) -> str:
     """
 
     def named(match: re.Match[str]) -> str:
-        j = int(match[2])
-        if not 1 <= j <= len(names):
-            return match[0]
-        name = names[j - 1]
+        name = story_name(int(match[2]), names)
         if name.startswith("story"):
             return match[1] + name.removeprefix("story")
         return name[0].upper() + name[1:] if match[1][0].isupper() else name
@@ -48,6 +45,17 @@ def name_stories(text: str, names: Sequence[str]) -> str:
     return _PLACE.sub(placed, _STORY.sub(named, text))
 
 
+def story_name(number: int, names: Sequence[str]) -> str:
+    """Return what people call a story, from 1: its name, or its number where it has none.
+
+    Examples
+    --------
+    >>> story_name(2, ["story 1 (deck)", "story 2 (pier)"]), story_name(3, [])
+    ('story 2 (pier)', 'story 3')
+    """
+    return names[number - 1] if 0 < number <= len(names) else f"story {number}"
+
+
 def storey_of(name: str) -> tuple[int, str] | None:
     """Return the number of a building's storey and its direction by its name; None for a story or a mode.
 
@@ -57,9 +65,7 @@ def storey_of(name: str) -> tuple[int, str] | None:
     ((2, 'y'), None)
     """
     match = _STOREY.fullmatch(name)
-    return (
-        None if match is None else (int(match[1]), next(d for d, words in DIRECTION_WORDS.items() if words == match[2]))
-    )
+    return match and (int(match[1]), next(d for d, words in DIRECTION_WORDS.items() if words == match[2]))
 
 
 def floor_name(floor: int) -> str:

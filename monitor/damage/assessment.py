@@ -22,6 +22,7 @@ from monitor.core import (
     Level,
     Skipped,
     storey_of,
+    story_name,
     utc,
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
@@ -700,7 +701,9 @@ def _aside(known: Known) -> list[str]:
     """Say that there are channels of which no estimate is made: what happens in their directions is not judged."""
     if not known.aside:
         return []
-    along = "judged along x only: " if known.n_modes is None else ""
+    seen = {"x"} if known.n_modes is None else set()
+    seen = {place[1] for name in known.names if (place := storey_of(name))} - {"torsion"} or seen
+    along = f"judged along {' and '.join(sorted(seen))} only: " if seen else ""
     count = len(known.aside) + len(known.channels)
     return [f"{along}{len(known.aside)} of {count} channels enter no estimate"]
 
@@ -708,7 +711,7 @@ def _aside(known: Known) -> list[str]:
 def _name(story: int, known: Known) -> str:
     if story == WHOLE:
         return known.parts.every
-    return known.names[story - 1] if story <= len(known.names) else f"story {story}"
+    return story_name(story, known.names)
 
 
 def _all_frequencies(course: Course, known: Known) -> list[str]:

@@ -100,7 +100,13 @@ def learn_baseline(
     if not healthy.units or not healthy.covariates:
         return baseline, fit
     seen = replace(mean, model_mode=baseline.model_mode)
-    change = update(baseline.model, instrumented.sensor_matrix, baseline.target(seen), updating)
+    change = update(
+        baseline.model,
+        instrumented.sensor_matrix,
+        baseline.target(seen),
+        updating,
+        prior_std=instrumented.stiffness_prior_std,
+    )
     gain = change.gain / change.parameters[:, None]
 
     def of(o: Observation) -> tuple[Array, Array]:

@@ -36,7 +36,11 @@ def windows(site: Configuration, records: int, seed: int) -> list:
 @pytest.fixture(scope="module")
 def healthy(site: Configuration) -> Baseline:
     records = windows(site, RECORDS, 1)
-    flat = [(k, r) for k, record in enumerate(records) for r in record]
+    return learned(site, records)
+
+
+def learned(site: Configuration, records: list) -> Baseline:
+    flat = [(k, r) for k, record in enumerate(records) for r in record if r.modes is not None]
     data = HealthyData(
         windows=[r.modes for _, r in flat],
         rms_m_s2=np.array([r.rms_m_s2 for _, r in flat]),
@@ -73,3 +77,18 @@ def test_the_file_keeps_it(site: Configuration, healthy: Baseline, tmp_path: Pat
     assert read.scatter is not None
     assert healthy.scatter is not None
     assert np.array_equal(read.scatter.beyond, healthy.scatter.beyond)
+
+
+def test_stories_that_the_sensors_do_not_tell_apart_keep_what_the_drawing_knows(tmp_path: Path) -> None:
+    """Three sensors and two modes for six stories: the windows' changes are finite, and no larger than the drawing allows."""
+    processing = {"window_s": WINDOW_S, "hop_s": 10.0, "cutoff_hz": 10.0, "rate_hz": 40.0}
+    six = shear_frame([0.33] * 6, [1900.0] * 6, [1, 3, 5], processing=processing, selection={"required_modes": 2})
+    rng, records = np.random.default_rng(3), []
+    for k in range(5):
+        stiffness = six.model().structure.stiffness_n_per_m * (1.0 + 0.03 * rng.standard_normal(6))
+        found = results_of(six.model().with_stiffness(stiffness), six, None, 40 + k, 65.0)
+        records.append([r for r in found if r.modes is not None and r.modes.model_mode.tolist() == [0, 1]][::2])
+    healthy = learned(six, records)
+    assert healthy.scatter is not None
+    assert (healthy.scatter.beyond < 0.2**2).all()
+    save_baseline(healthy, tmp_path / "b.json")

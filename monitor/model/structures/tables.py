@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
@@ -113,17 +113,21 @@ class _Numbered(_Drawing):
     story_names: tuple[str, ...] | None = None
     """What each stiffness is, as ``girder 3`` or ``left bearing``; sentences name it beside its number."""
 
+    _counted: ClassVar[str] = ""
+    """Whence stories without a name are counted, in words."""
+
     @property
     @override
     def names(self) -> tuple[str, ...]:
         n, names = len(self.stiffness_n_per_m), self.story_names
-        return tuple(f"story {j}" + (f" ({names[j - 1]})" if names else "") for j in range(1, n + 1))
+        return tuple(f"story {j}" + (f" ({names[j - 1]})" if names else self._counted) for j in range(1, n + 1))
 
 
 class ShearFrameTable(_Numbered):
     """Table of a shear frame, ``kind = "shear_frame"``."""
 
     kind: Literal["shear_frame"]
+    _counted: ClassVar[str] = " from the top"
     masses_kg: tuple[Positive, ...] = Field(min_length=1)
     """Masses as drawn, floor 1 (the top one) first."""
     story_heights_m: tuple[Positive, ...] | None = None

@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 from pydantic import TypeAdapter
 
-from monitor.core import WHOLE, AlarmCondition, BadInputError, Level, Skipped
+from monitor.core import WHOLE, AlarmCondition, BadInputError, Level, Skipped, story_name
 from monitor.damage import (
     ALONE,
     Assessment,
@@ -223,7 +223,7 @@ def _span(period: Period) -> str:
 def _name(part: int, period: Period) -> str:
     if part == WHOLE:
         return period.known.parts.every
-    return period.known.names[part - 1] if part <= len(period.known.names) else f"story {part}"
+    return story_name(part, period.known.names)
 
 
 def _standing(period: Period) -> list[Loss]:

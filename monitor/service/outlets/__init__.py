@@ -48,7 +48,7 @@ def make_outlets(
         return ()
     inbox = Inbox(state / "requests", worker=Chores("requests"))
     optional = [make() for make in makers if make is not None]
-    return (inbox, *optional, Notifier(name, settings, to, state / "outbox.jsonl", keep=keep))
+    return (inbox, *optional, Notifier(name, settings, to, state / "outbox.jsonl", keep=keep, names=config.story_names))
 
 
 def _demand_none(path: Path, problems: Sequence[str]) -> None:

@@ -6,14 +6,14 @@ yields every notice that is still due, and none twice.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
 
 from pydantic import Field
 
-from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult
+from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult, story_name
 from monitor.damage import Assessment, State
 from monitor.events import Event
 from monitor.publish import event_text, telling
@@ -89,17 +89,20 @@ Derived = tuple[Told, list[Notice]]
 """Announced state after notices, and these."""
 
 
-def of_window(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
+def of_window(
+    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings, names: Sequence[str] = ()
+) -> Derived:
     """Derive the notices that a window calls for, and the announced state after them: alarms, doubts, long times without a word.
 
     An alarm is announced at once when it is raised, escalated or cleared.  That nothing is judged is announced when it has lasted
     `blind_s`, and that the state is, or no longer is, doubtful when it has lasted a window's length, so that a single window
-    calls for neither.  The sentences of `present`, the state with that window, are the text of the notices.
+    calls for neither.  The sentences of `present`, the state with that window, are the text of the notices; `names` are
+    the stories'.
     """
     told, notices = _blindness(told, result, present, settings)
     if result.skipped is None:
         told, of_doubts = _doubts(told, result, present)
-        told, of_alarms = _alarms(told, result, present, settings)
+        told, of_alarms = _alarms(told, result, present, settings, names)
         notices += of_doubts + of_alarms
     return told, notices
 
@@ -138,7 +141,9 @@ def _doubts(told: Told, result: WindowResult, present: Assessment) -> Derived:
     return replace(told, doubtful=doubtful, doubt_ns=None), [notice]
 
 
-def _alarms(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
+def _alarms(
+    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings, names: Sequence[str]
+) -> Derived:
     """Derive the notices of alarms raised, escalated and cleared."""
     active = result.alarm.active
     if result.modal is not None and active:  # one change moves several modes and shapes: it is told once
@@ -149,7 +154,7 @@ def _alarms(told: Told, result: WindowResult, present: Assessment, settings: Not
         if result.alarm.conditions.get(story) is AlarmCondition.SHELVED:
             continue  # neither its rise nor its end is announced, as the operator asked
         before, now = levels.get(story, Level.NORMAL), active.get(story, Level.NORMAL)
-        place = "the whole structure" if story == WHOLE else f"story {story}"
+        place = "the whole structure" if story == WHOLE else story_name(story, names)
         if now.rank > before.rank and now.rank >= least:
             levels[story] = now
             notices.append(Notice("alarm", False, f"{now.value}: {place}", _text(present), place))

@@ -133,8 +133,9 @@ class Notifier(Outlet):
         clock: Callable[[], float] = time.monotonic,
         deliveries: Deliveries = _DELIVERIES,
         keep: Callable[[], object] = lambda: None,
+        names: Sequence[str] = (),
     ) -> None:
-        self._keep = keep
+        self._keep, self._names = keep, names
         self._site, self._place, self._clock, self._deliveries = site, place, clock, deliveries
         self._settings, self._to = settings, to
         self._workers: dict[str, AddressWorker] = {}
@@ -160,7 +161,7 @@ class Notifier(Outlet):
         """Announce alarms that the window raises, escalates or clears, and long times without a judged window."""
         outbox = self._begun()
         self._heartbeat.window()
-        self._add(outbox, *notices.of_window(outbox.told, result, self.present, self._settings))
+        self._add(outbox, *notices.of_window(outbox.told, result, self.present, self._settings, self._names))
 
     def event(self, event: Event, line: str) -> None:
         """Announce an event: at the end of strong motion, with its final line, and with its lasting loss."""
