@@ -388,6 +388,12 @@ class Configuration(Settings):
         return () if isinstance(self.structure, ModalTable) else self.drawn.names
 
     @property
+    def unwatched(self) -> tuple[int, ...]:
+        """Stories of which nothing is said: those that the owner left out, and those of directions that no sensor sees."""
+        hidden = self.instrumented().hidden_stiffnesses() if self.storeys else ()
+        return tuple(sorted({*self.alarm.unwatched, *hidden}))
+
+    @property
     def drawing(self) -> Drawing:
         """The structure as it is drawn: by its ``[[nodes]]`` and ``[[lines]]``, else by what its kind tells of its form."""
         if self.nodes:

@@ -33,7 +33,9 @@ from .naming import (
     name_stories as name_stories,
     name_stories_in as name_stories_in,
     storey_of as storey_of,
+    storey_words as storey_words,
     story_name as story_name,
+    together as together,
 )
 from .optimization import levenberg_marquardt as levenberg_marquardt
 from .parallel import parallel_map as parallel_map

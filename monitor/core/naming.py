@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ _PLACE = re.compile(r"\b(storey|floor) (\d+) (x|y|torsion)\b", re.IGNORECASE)
 DIRECTION_WORDS = {"x": "along x", "y": "along y", "torsion": "in torsion"}
 """Directions of a building's storeys and floors, in words. [words]"""
 _STOREY = re.compile(rf"storey (\d+) \(.*\), ({'|'.join(DIRECTION_WORDS.values())})")
+_STORY_WORD = re.compile(r"\b([Ss]t)(ory|ories)\b")
 _SENTENCES = frozenset({"says", "separating_measurement", "headline", "reason"})
 """Keys whose values are sentences."""
 
@@ -42,7 +44,20 @@ def name_stories(text: str, names: Sequence[str]) -> str:
         name = next(own, "") if kind.lower() == "storey" else ""
         return kind + name.removeprefix("storey") if name else f"{kind} {number}, {direction}"
 
-    return _PLACE.sub(placed, _STORY.sub(named, text))
+    return storey_words(_PLACE.sub(placed, _STORY.sub(named, text)), names)
+
+
+def storey_words(text: str, names: Sequence[str]) -> str:
+    """Call the stories of a building, by their names, storeys.
+
+    Examples
+    --------
+    >>> storey_words("all stories alike", ["storey 1 (ground to 1st floor), along y"]), storey_words("every story", [])
+    ('all storeys alike', 'every story')
+    """
+    if not names or storey_of(names[0]) is None:
+        return text
+    return _STORY_WORD.sub(lambda match: match[1] + ("oreys" if match[2] == "ories" else "orey"), text)
 
 
 def story_name(number: int, names: Sequence[str]) -> str:
@@ -66,6 +81,30 @@ def storey_of(name: str) -> tuple[int, str] | None:
     """
     match = _STOREY.fullmatch(name)
     return match and (int(match[1]), next(d for d, words in DIRECTION_WORDS.items() if words == match[2]))
+
+
+def together(some: Sequence[str], every: Sequence[str]) -> str:
+    """Name some of the stories; of a building those of a direction at once.
+
+    Examples
+    --------
+    >>> along_y = [f"storey {j} ({j - 1} to {j}), along y" for j in (1, 2, 3)]
+    >>> together(along_y, along_y), together(along_y[1:], along_y), together(["story 2", "story 4"], [])
+    ('all storeys along y', 'storeys 2, 3 along y', 'story 2, story 4')
+    """
+    single, of = [], defaultdict(list)
+    for name in some:
+        place = storey_of(name)
+        of[name if place is None else place[1]].append(name)
+    for direction, names in of.items():
+        numbers = [str(place[0]) for name in names if (place := storey_of(name))]
+        if len(numbers) < 2:
+            single += names
+            continue
+        all_of_it = sum(name.endswith(DIRECTION_WORDS[direction]) for name in every)
+        which = "all storeys" if len(numbers) == all_of_it else f"storeys {', '.join(numbers)}"
+        single.append(f"{which} {DIRECTION_WORDS[direction]}")
+    return ", ".join(single)
 
 
 def floor_name(floor: int) -> str:

@@ -16,13 +16,16 @@ from typing import Any
 
 from monitor.core import (
     CLOCK,
+    DIRECTION_WORDS,
     STILL,
     STRONG_MOTION,
     WHOLE,
     Level,
     Skipped,
     storey_of,
+    storey_words,
     story_name,
+    together,
     utc,
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
@@ -335,12 +338,14 @@ def assess(
     ]
     remarks, aside = _remarks(course, known, whole), _aside(known)
     if not facts:
-        return Assessment(State.NORMAL, _sentence("; ".join([_seen(course, known), *aside])), tuple(remarks))
+        facts = [(State.NORMAL, _sentence("; ".join([_seen(course, known), *aside])))]
+        aside = []
     remarks += map(_sentence, aside)
     facts.sort(key=lambda fact: -fact[0].rank)  # stable: of equals the first stays first
     (state, headline), *others = facts
     sentences = [headline, *(sentence for _, sentence in others), *remarks]
-    return Assessment(state, headline, tuple(dict.fromkeys(sentences))[1:])
+    headline, *doubts = dict.fromkeys(storey_words(sentence, known.names) for sentence in sentences)
+    return Assessment(state, headline, tuple(doubts))
 
 
 def outdated(assessment: Assessment, why: str, t_ns: int | None = None) -> Assessment:
@@ -650,7 +655,13 @@ def _seen(course: Course, known: Known) -> str:
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
     if all(loss is None for loss in window.detectable):
         return f"no {known.parts.loss} could have been confirmed in any {known.parts.part}"
-    notes = [_why_unseen(j, window, known) for j in blind]
+    why: dict[str, list[str]] = {}
+    for j in blind:
+        why.setdefault(_why_unseen(j, window, known), []).append(_name(j, known))
+    notes = [
+        (says.replace("{} is", "{} are") if len(names) > 1 else says).format(together(names, known.names))
+        for says, names in why.items()
+    ]
     if not losses:
         return f"no {known.parts.loss} would have been seen: " + "; ".join(notes)
     where = f"any {known.parts.part}" if not blind else f"any other {known.parts.part}"
@@ -661,18 +672,17 @@ def _seen(course: Course, known: Known) -> str:
 
 
 def _why_unseen(story: int, window: WindowFacts, known: Known) -> str:
-    """State that a story is not seen, and from which loss on it would be."""
-    name = _name(story, known)
+    """State that a story, whose name is to be put in, is not seen, and from which loss on it would be."""
     loss = None if window.detectable is None else window.detectable[story - 1]
     if WHOLE in window.shelved:
-        return f"the alarm of {known.parts.every} alike is shelved, so nothing is said of {name}"
+        return f"the alarm of {known.parts.every} alike is shelved, so nothing is said of {{}}"
     if story in window.shelved:
-        return f"the alarm of {name} is shelved"
+        return "the alarm of {} is shelved"
     if story in known.unwatched:
-        return f"{name} is not watched"
+        return "{} is not watched"
     if loss is None or loss >= 1.0:
-        return f"{name} is not seen"
-    return f"in {name} only a {known.parts.loss} above {100 * loss:.2g} % would be seen"
+        return "{} is not seen"
+    return f"in {{}} only a {known.parts.loss} above {100 * loss:.2g} % would be seen"
 
 
 def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
@@ -698,14 +708,16 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
 
 
 def _aside(known: Known) -> list[str]:
-    """Say that there are channels of which no estimate is made: what happens in their directions is not judged."""
-    if not known.aside:
+    """Say in which directions alone the structure is judged, and that there are channels of which no estimate is made."""
+    places = [place for name in known.names if (place := storey_of(name))]
+    judged = list(dict.fromkeys(DIRECTION_WORDS[direction] for _, direction in places))
+    if not known.aside and len(judged) in (0, len(DIRECTION_WORDS)):
         return []
-    seen = {"x"} if known.n_modes is None else set()
-    seen = {place[1] for name in known.names if (place := storey_of(name))} - {"torsion"} or seen
-    along = f"judged along {' and '.join(sorted(seen))} only: " if seen else ""
-    count = len(known.aside) + len(known.channels)
-    return [f"{along}{len(known.aside)} of {count} channels enter no estimate"]
+    if not judged and known.n_modes is None:
+        judged = [DIRECTION_WORDS["x"]]
+    along = f"judged {' and '.join(judged)} only" if judged else ""
+    beside = f"{len(known.aside)} of {len(known.aside) + len(known.channels)} channels enter no estimate"
+    return [": ".join(filter(None, (along, beside if known.aside else "")))]
 
 
 def _name(story: int, known: Known) -> str:

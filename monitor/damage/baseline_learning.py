@@ -110,8 +110,11 @@ def learn_baseline(
     gain = change.gain / change.parameters[:, None]
 
     def of(o: Observation) -> tuple[Array, Array]:
-        """Estimate a window's stiffness change from the baseline, as `damage_index.step` would, with its deviations."""
-        return gain @ (o.z - mean.z), o.deviations @ gain.T
+        """Estimate a window's stiffness change from the baseline, as `damage_index.step` would, with its deviations.
+
+        To first order; the step is that of the logarithm, for no stiffness is lost by more than all of it.
+        """
+        return np.expm1(gain @ (o.z - mean.z)), o.deviations @ gain.T
 
     stories = _Kind(_changes(healthy, mean, updating, of, healthy.t_ns), compensation, alike=True)
     # How windows of one record differ is learned with what the stories do together.

@@ -66,4 +66,5 @@ def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Seque
             says.append(f"{subject}seen as a whole: a loss there is told, but not in which storey")
         else:
             says.append(f"{subject}not seen")
-    return says
+    unseen = [w for w in DIRECTION_WORDS.values() if w not in groups and "" not in groups]
+    return says + [f"{words}: not seen, and not judged" for words in unseen]

@@ -11,6 +11,9 @@ from monitor.core import Array
 from monitor.model.effects import Context
 from monitor.model.model import Model
 
+_ROUNDED_TO_0 = 1e-9
+"""Share of the largest below which a motion is not told from none. [ratio; rounding]"""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InstrumentedModel:
@@ -61,6 +64,14 @@ class InstrumentedModel:
     def stiffness_prior_std(self) -> Annotated[Array, "p"]:
         """Relative standard deviations of the stiffnesses alone."""
         return self.prior_std[: self.model.structure.n_stories]
+
+    def hidden_stiffnesses(self) -> tuple[int, ...]:
+        """List the stiffnesses, from 1, that strain in no mode which a sensor sees: of another direction that nothing couples."""
+        shapes = self.model.modes().shapes
+        moved, strained = np.abs(self.sensor_matrix @ shapes), np.abs(self.model.structure.drift_matrix() @ shapes)
+        seen = moved.max(axis=0) > _ROUNDED_TO_0 * moved.max()
+        told = strained[:, seen].max(axis=1, initial=0.0) > _ROUNDED_TO_0 * strained.max(axis=1)
+        return tuple(int(j) + 1 for j in np.flatnonzero(~told))
 
     def with_model(self, model: Model) -> InstrumentedModel:
         """Return the same sensors on another model of the structure."""

@@ -13,7 +13,17 @@ import numpy as np
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
-from monitor.core import BadInputError, CrossSpectra, Gap, ModalEstimate, OnProgress, Step, WindowResult, sha256
+from monitor.core import (
+    BadInputError,
+    CrossSpectra,
+    Gap,
+    ModalEstimate,
+    OnProgress,
+    Step,
+    WindowResult,
+    sha256,
+    together,
+)
 from monitor.damage import (
     AnyBaseline,
     Baseline,
@@ -406,9 +416,9 @@ def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: Window
     """Warn of stories without influence on the modes, and of other stiffnesses that explain the same frequencies."""
     unidentified = last.damage.unidentified if last.damage is not None else ()
     if unidentified:
+        names = together([config.story_names[j - 1] for j in unidentified], config.story_names)
         on_warning(
-            f"the modes say next to nothing about {', '.join(config.story_names[j - 1] for j in unidentified)}: damage there "
-            "cannot be judged; more sensors or more modes would help"
+            f"the modes say next to nothing about {names}: damage there cannot be judged; more sensors or more modes would help"
         )
     if config.updating.use_shapes:
         return

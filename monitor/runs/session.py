@@ -279,7 +279,7 @@ class Session:
             misfit=c.watch.misfit,
             level_range_m_s2=None if b is None else b.level_range_m_s2,
             baseline_doubts=() if b is None else b.doubts,
-            unwatched=c.alarm.unwatched,
+            unwatched=c.unwatched,
             accepted=tuple((e.name, e.location) for e in c.model().effects) if c.has_model else (),
             channels=c.channels,
             clock_ratio=1.0 if b is None else b.clock_ratio,

@@ -96,6 +96,20 @@ def test_two_axes_or_a_lever_keep_all_directions(more: str) -> None:
     assert config.story_names[N] == "storey 1 (ground to 1st floor), along y"
 
 
+def test_what_no_sensor_sees_is_not_watched() -> None:
+    """Boxes in the middle of a plan without eccentricity do not see torsion; a lever, or what couples it, does."""
+    eccentric = FILE.replace("plan_m", "eccentricity_m = [0.5, 0.0]\nplan_m")
+    for text, hidden in (
+        (FILE + sensors("xy"), (7, 8, 9)),
+        (FILE + sensors("xy", (4.0, 0.0)), ()),
+        (eccentric + sensors("xy"), ()),
+        (FILE + sensors("y", (4.0, 0.0)), (1, 2, 3)),
+        (FILE + sensors("x"), ()),
+        (FILE + sensors("x") + "[alarm]\nunwatched = [2]\n", (2,)),
+    ):
+        assert configuration(text).unwatched == hidden
+
+
 def test_torsion_is_known_within_a_factor_of_two_unless_it_is_drawn() -> None:
     std = configuration(FILE + sensors("xy")).drawn.prior_std()
     np.testing.assert_allclose(std, np.repeat([0.2, 0.5, 0.05], [2 * N, N, N]))
