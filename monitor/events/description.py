@@ -136,8 +136,6 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
         limits = f"without a sensor on every floor the model and the ground tell those of {gone}"
     elif np.linalg.matrix_rank(sensors) < sensors.shape[1]:
         limits = "without a sensor on every floor, or without a measured ground, some are not known"
-    elif not site.is_chain:
-        limits = "without a measured ground along each axis those of the lowest storey are not known"
     elif not told.any():
         limits = "without a measured ground the drift of the one story is not known"
     else:
@@ -196,10 +194,10 @@ def inertia_above(record: Record, site: Site) -> Annotated[Array, "samples n"]:
     """
     quiet = record.floors[: max(record.strong.start, 1)].mean(axis=0)
     floors = np.linalg.lstsq(site.sensors, (record.floors - quiet).T, rcond=None)[0]
-    # Floors 1 (top) to j lie above story j.
-    return np.asarray(np.cumsum(site.masses_kg[:, None] * floors, axis=0).T)
+    return np.asarray((site.story_forces @ floors).T)
 
 
 def _drifts_by_inertia(record: Record, site: Site) -> Annotated[Array, "n"]:
     """Compute the largest drift of each story as the inertia of all floors above over its stiffness, m."""
-    return np.asarray(np.abs(inertia_above(record, site)[record.strong]).max(axis=0) / site.stiffness_n_per_m)
+    largest = np.abs(inertia_above(record, site)[record.strong]).max(axis=0)
+    return np.asarray(largest / site.stiffness_n_per_m[: largest.size])

@@ -23,6 +23,9 @@ class Site:
     """From the floors' displacement to the stories' drifts; of a building those along x and y, at the centre of stiffness."""
     stiffness_n_per_m: Annotated[Array, "p"]
     masses_kg: Annotated[Array, "floors"]
+    story_forces: Annotated[Array, "n floors"]
+    """From the floors' absolute accelerations to the forces of the stories' springs that hold up their inertia, kg; empty where a
+    story is no spring between two floors."""
     is_chain: bool
     """Whether each story carries the inertia of the floors above it alone."""
     heights_m: Annotated[Array, "n"] | None
@@ -51,10 +54,13 @@ class Site:
         """Collect what is needed from a model with its sensors."""
         structure, modes = site.model.structure, site.model.modes()
         sensors, drifts, corners = site.sensor_matrix, structure.drift_matrix(), np.zeros((0, 0))
+        forces: Array = np.zeros((0, structure.n_dofs))
+        if isinstance(structure, ShearFrame | Building):
+            forces = np.linalg.solve(drifts.T, structure.mass_matrix())
         heights = structure.heights_m if isinstance(structure, Building) else structure.story_heights_m
         if isinstance(structure, Building):
             sways = [j for j, place in enumerate(structure.story_places) if not place.endswith("torsion")]
-            drifts, corners = drifts[sways], structure.corner_drifts()
+            drifts, forces, corners = drifts[sways], forces[sways], structure.corner_drifts()
             heights = np.tile(heights, len(sways) // structure.n_masses) if heights is not None else None
         return cls(
             site.channels,
@@ -62,6 +68,7 @@ class Site:
             drifts,
             structure.stiffness_n_per_m,
             structure.inertia_kg,
+            forces,
             isinstance(structure, ShearFrame),
             heights,
             modes.frequencies_hz,
@@ -86,7 +93,16 @@ class Site:
     def read(cls, content: dict[str, Any]) -> Site:
         """Make a site of its content (`content`)."""
         known = dict(content)
-        arrays = ("sensors", "drifts", "stiffness_n_per_m", "masses_kg", "heights_m", "modes_hz", "shapes")
+        arrays = (
+            "sensors",
+            "drifts",
+            "stiffness_n_per_m",
+            "masses_kg",
+            "story_forces",
+            "heights_m",
+            "modes_hz",
+            "shapes",
+        )
         for name in (*arrays, "floor_shapes", "damping", "floor_rides", "corners"):
             known[name] = None if known[name] is None else np.array(known[name], dtype=float)
         names = {name: tuple(known[name]) for name in ("channels", "names")}
@@ -105,7 +121,9 @@ class Site:
         shapes = np.zeros((0, c)) if modes is None else modes.shapes.T
         none, lowest_hz = np.zeros(0), float(hz[0]) if hz.size else lowest_hz
         drifts = np.zeros((0, c))
-        return cls(channels, np.eye(c), drifts, none, none, False, None, hz, shapes, (), window_s, settings, lowest_hz)
+        return cls(
+            channels, np.eye(c), drifts, none, none, drifts, False, None, hz, shapes, (), window_s, settings, lowest_hz
+        )
 
     @property
     def n_stories(self) -> int:
