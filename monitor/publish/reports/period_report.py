@@ -287,14 +287,17 @@ def _where(page: Sheet, period: Period) -> None:
     if (every := standing.get(WHOLE)) is not None:
         name = period.known.parts.every.capitalize()
         page.text(f"{name}: {every.level.value} since {utc(_since(every))} UTC.")
-    rows = []
+    rows, cells = [], []
     for j, c in enumerate(r.ddi or r.changes, 1):
         alarm, (seen, says) = standing.get(j), _sight(j, period)
         state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
         scale, _ = _unit(j, period)
         size = with_interval(scale * c.latest, scale * c.latest_half) if c.values else _UNKNOWN
+        cells.append((state.replace(" ", "_"), size if state != "not judged" else state))
         rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
         rows.append((rank, j, (_name(j, period), state, size, utc(_since(alarm)) if alarm else "", says)))
+    says = f"stiffness lost {'since the baseline' if judged else 'against the structure file'}, %"
+    page.elevation(f"{says}, by storey and direction", period.known.names, cells, {})
     what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
     head = ["story", "state", what, "@since, UTC", "what would be seen"]
     change = "#change, %" if all(period.known.relative) else "#change (where % is not said, in its unit)"
