@@ -20,6 +20,8 @@ _BUILDING_WIDTH = 0.4
 """Longest side of a drawn building's plan over its height. [ratio; judgement]"""
 _ELEVATION_WIDTH = 0.36
 """Width of a building's drawn elevations over its height. [ratio; measured on pictures: a loss in words fits in]"""
+_MOST_STOREYS = 13
+"""Most storeys that are numbered beside a building's elevations. [count; measured on pictures: labels do not overlap]"""
 _BUILDING_TURN = np.radians(-30.0)
 """Angle by which a drawn building is turned, so that both directions are seen from the front. [rad; judgement]"""
 
@@ -140,7 +142,8 @@ class Drawing:
             lines += [(first + 2 * j, first + 2 * j + 1) for j in range(n + 1)]
             stories += [*np.repeat(i * n + np.arange(n), 2).tolist(), *[-1] * (n + 1)]
             named[DIRECTION_WORDS[d]] = (right - 0.5 * _ELEVATION_WIDTH * height, 0.0, 1.1 * height)
-        named |= {f"storey {j + 1}": (sides[0][0] - 0.16 * height, 0.0, levels[j + 1]) for j in range(n)}
+        numbered = range(0, n, -(-n // _MOST_STOREYS))
+        named |= {f"storey {j + 1}": (sides[0][0] - 0.16 * height, 0.0, levels[j + 1]) for j in numbered}
         points = np.concatenate([body, sides, list(named.values())])
         motion = np.zeros((len(points), 3, structure.n_dofs))
         on = structure.points_motion(np.repeat(np.arange(n + 1), 5).tolist(), at.reshape(-1, 2))

@@ -36,6 +36,8 @@ _DIGITS = 5
 """Significant digits of the numbers of charts. [1; judgement: finer than a screen]"""
 _NAMES = ("is", "id", "key", "kind", "size", "plan")
 """Keys of a section or block that are no texts. [names]"""
+Cells = Sequence[tuple[str, str]]
+"""Cells of an elevation: the state of each and its words."""
 _FILES = resources.files("monitor.publish.page") / "files"
 
 
@@ -113,13 +115,7 @@ class Sheet:
         self.add("table", head=names, rows=cells, flows=flows)
         self.text(f"{len(rows) - len(shown)} more are not shown." if len(rows) > len(shown) else "")
 
-    def elevation(
-        self,
-        says: str,
-        names: Sequence[str],
-        cells: Sequence[tuple[str, str]],
-        more: Mapping[str, Sequence[tuple[str, str]]],
-    ) -> None:
+    def elevation(self, says: str, names: Sequence[str], cells: Cells, more: Mapping[str, Cells]) -> None:
         """Add plan and elevation of a building, with state and words of each stiffness; nothing of another structure.
 
         The `more` columns have a cell for each storey, the lowest first; `says` what the words are.
@@ -127,9 +123,8 @@ class Sheet:
         places = list(filter(None, map(storey_of, names)))
         if not places or len(places) < len(names):
             return
-        columns = dict[str, list[tuple[str, str]]]()
-        for (_, way), cell in zip(places, cells, strict=True):
-            columns.setdefault(way, []).append(cell)
+        n = max(storey for storey, _ in places)
+        columns = {places[i][1]: cells[i : i + n] for i in range(0, len(places), n)}
         graver = list(_SIGNS).index
         plan = {way: max((state for state, _ in own), key=graver) for way, own in columns.items()}
         of_storeys = [name.rpartition(", ")[0] for name in names], *columns.values(), *more.values()

@@ -522,7 +522,7 @@ def _events(page: Sheet, period: Period, beside: Path | None) -> None:
         place = period.pages.get(e.id)
         there = beside is not None and place is not None and place.is_file()
         named = Link(e.id, quote(relpath(str(place), beside))) if there else e.id
-        rows.append((named, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note))
+        rows.append((named, utc(e.begin_ns), utc(e.end_ns), event_text(e, period.known.names), e.note))
     page.table(["@event", "@from, UTC", "@to, UTC", "what it was", "note"], rows, most=_MAX_ROWS)
     page.note("The page of an event is written by: shm-monitor report DIR --event ID")
 

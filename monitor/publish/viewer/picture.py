@@ -185,7 +185,7 @@ class ResultDrawing:
         """Write an event into the log, and draw the largest drift of each story at its end."""
         self._set_time(event.end_ns)
         level = rr.TextLogLevel.WARN if event.exceeded else rr.TextLogLevel.INFO
-        self._event(event.end_ns, f"{telling(event)}: {words_of(event)}", level)
+        self._event(event.end_ns, f"{telling(event)}: {words_of(event, self._scene.story_names)}", level)
         for j in np.flatnonzero(np.isfinite(event.drift_m)):
             self._stream.log(f"{DRIFT}/story_{j + 1}", rr.Scalars(1e3 * event.drift_m[j]))
 
@@ -291,12 +291,8 @@ class ResultDrawing:
             unknown = "not seen" if is_blind else "unknown"
             known = unknown if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             is_quiet = ddi is None or std is None or abs(ddi) <= 2 * std
-            if self._plan.apart is None:
-                labels.append(
-                    f"{j + 1}" if self._plan.is_crowded and is_quiet else f"{self._scene.story_names[j]}: {known}"
-                )
-            else:
-                labels.append("" if self._plan.is_crowded and is_quiet else known)
+            named = (f"{j + 1}", f"{self._scene.story_names[j]}: {known}") if self._plan.apart is None else ("", known)
+            labels.append(named[0] if self._plan.is_crowded and is_quiet else named[1])
         of_stories = np.array(colours, dtype=np.uint8)
         of_members = of_stories[self._scene.drawing.stories[self._is_member]]
         self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._members, colors=of_members, radii=self._radius)

@@ -42,8 +42,6 @@ _LABEL_SHARE = 0.33
 """Share of the view's width that the labels at the left take. [ratio; measured on pictures]"""
 _IN_A_ROW = 4
 """Mode shapes beside each other where they have a view of their own. [count; judgement: legible in half a window]"""
-_MOST_STOREYS = 16
-"""Most storeys of a building whose labels all find room in its elevations. [count; measured on pictures]"""
 _LABEL_ROWS = 3
 """Rows over which the labels of a long structure are spread. [count; judgement]"""
 STABILISATION = (100.0, 55.0)
@@ -115,7 +113,7 @@ class Plan:
         room, rows = np.array([_MARGIN, 0.0, _MARGIN]), -(-n_modes // _IN_A_ROW)
         wide = min(n_modes, _IN_A_ROW) * _pitch(size, is_long=False)
         modes = np.array([0.0, 0.0, -rows * _pitch(size, is_long=True)]) - room, np.array([wide, 0.0, 0.0])
-        crowded = len(set(labels[:, 2].tolist())) > _MOST_STOREYS
+        crowded = sum(map(bool, drawing.names)) < len({*labels[:, 0].tolist()}) + len({*labels[:, 2].tolist()})
         box = points.min(axis=0) - 0.6 * room, points.max(axis=0) + room * (1.0, 0.0, 0.0)
         return cls(points, labels, size, False, *box, modes, crowded)
 
