@@ -77,7 +77,7 @@ def _report_event(folder: Path, wanted: str, out: Path | None, motion: Path | No
         write_event(place, page)
     event = page.event
     content = {"report": str(place), "id": event.id, "revision": event.revision, "verdict": event.verdict}
-    text = f"{event.id}: {event_text(event)}\nreport in {place}"
+    text = f"{event.id}: {event_text(event, page.names)}\nreport in {place}"
     if motion is not None:
         write_event_motion(page, motion)
         content["motion"] = str(motion)

@@ -11,7 +11,7 @@ _STORY = re.compile(r"\b(story) (\d+)\b(?! \(| from the top)", re.IGNORECASE)
 _PLACE = re.compile(r"\b(storey|floor) (\d+) (x|y|torsion)\b", re.IGNORECASE)
 DIRECTION_WORDS = {"x": "along x", "y": "along y", "torsion": "in torsion"}
 """Directions of a building's storeys and floors, in words. [words]"""
-_STOREY = re.compile(rf"storey (\d+) \(.*\), ({'|'.join(DIRECTION_WORDS.values())})")
+_STOREY = re.compile(rf"storey (\d+)(?: \(.*\))?, ({'|'.join(DIRECTION_WORDS.values())})")
 _STORY_WORD = re.compile(r"\b([Ss]t)(ory|ories)\b")
 _SENTENCES = frozenset({"says", "separating_measurement", "headline", "reason"})
 """Keys whose values are sentences."""

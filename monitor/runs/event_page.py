@@ -61,12 +61,16 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
 def write_event_motion(page: EventPage, out: Path) -> None:
     """Write the motion of an event for the Rerun viewer.
 
-    Raises MissingInputError if no drifts are known: there are no samples of the event, or no chain of stories.
+    Raises MissingInputError if no drifts are known: there are no samples of the event, or no chain of stories, or a building.
     """
     if page.site is None or page.review is None:
         raise MissingInputError(f"event {page.event.id} cannot be shown in motion. {page.why_not}")
     if not np.isfinite(page.review.drift_m).any():
         raise MissingInputError(f"event {page.event.id} cannot be shown in motion: no story's drift is known")
+    if page.event.drift_corner_m.size:
+        raise MissingInputError(
+            f"event {page.event.id} cannot be shown in motion: it is not drawn of a building; the event's page has the drifts"
+        )
     from monitor.publish import write_motion  # it needs the extra `viewer`
 
     write_motion(out, page.name, page.event, page.site, page.review)

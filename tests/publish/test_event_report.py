@@ -127,6 +127,34 @@ def test_nothing_known_is_told_as_not_known() -> None:
     assert "no limit judged" in html and "No drift is known." in html and "The ground was not measured." in html
 
 
+def of_building(*, axes: int) -> Event:
+    """An event of a building of two storeys that sways along x and y, or along one of them alone."""
+    event, _, _ = told()
+    drift, n = np.array([0.001, 0.002, 0.003, 0.004])[: 2 * axes], 6 if axes == 2 else 2
+    loss = np.full(n, np.nan)
+    corner = np.array([0.005, 0.006])
+    lists = {"drift_m": drift, "drift_std_m": 0.1 * drift, "drift_ratio": drift / 3.0, "drift_corner_m": corner}
+    return replace(event, exceeded=(), verdict=None, loss=loss, loss_std=loss, **lists)
+
+
+def test_drifts_of_a_building_are_told_by_storey_and_direction_and_at_its_corners() -> None:
+    event = of_building(axes=2)
+    shown = page(event, None, None)
+    assert "largest drift 4.00 ± 0.80 mm in storey 2, along y" in shown.headline
+    elevation = shown.table("at a corner")
+    assert elevation == [["storey 2", "2", "4", "6"], ["storey 1", "1", "3", "5"]], "the uppermost storey first"
+    assert [row[0] for row in shown.table("largest drift, mm")][1:3] == ["storey 2, along x", "storey 1, along y"]
+    bars = marks(shown.chart("Largest drift, mm, over the height in stories, along y"), "shade", "used")
+    assert [(bar["x"][1], bar["y"]) for bar in bars] == [(3.0, [0.0, 1.0]), (4.0, [1.0, 2.0])]
+    assert "in storey 2." in page(of_building(axes=1), None, None).headline
+
+
+def test_the_motion_of_a_building_is_refused(tmp_path: Path) -> None:
+    _, site, seen = told()
+    with pytest.raises(MissingInputError, match="not drawn of a building"):
+        write_event_motion(EventPage("house", of_building(axes=2), None, None, site, seen), tmp_path / "motion.rrd")
+
+
 def test_an_event_is_read_from_its_line() -> None:
     event, _, _ = told()
     line = json.loads(to_json(event_line(event, "events/x.mcap")))

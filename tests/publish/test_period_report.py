@@ -12,6 +12,7 @@ import pytest
 
 from monitor.core import BadInputError
 from monitor.damage import Known
+from monitor.publish.page.sheet import Sheet
 from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from monitor.publish.results.event_lines import event_line, event_text
@@ -53,6 +54,24 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> Path:
     limits = {"false_announcements_per_year": 0.5, "min_loss": 0.01, "alarm_loss": 0.1}
     (folder / "summary.json").write_text(json.dumps({"alarms": [], "thresholds": limits}))
     return folder
+
+
+def test_a_building_is_shown_by_plan_and_elevation() -> None:
+    names = [f"storey {j} (floor {j}), {way}" for way in ("along x", "along y") for j in (1, 2)]
+    cells = [("normal", "0.1"), ("normal", "0.2"), ("alarm", "10.0"), ("not_judged", "not judged")]
+    page = Sheet("house")
+    page.section("Where")
+    page.elevation("loss, %", names, cells, {})
+    page.elevation("loss, %", ["story 1", "story 2"], cells[:2], {})  # of a frame there is none
+    shown = Page(page.html())
+    assert shown.tables == [
+        [
+            ["storey", "along x", "along y"],
+            ["storey 2 (floor 2)", "0.2", "not judged"],
+            ["storey 1 (floor 1)", "0.1", "10.0"],
+        ]
+    ]
+    assert [given["class"] for tag, given in shown.tags if tag == "path"] == ["normal", "alarm"]
 
 
 def parsed(path: Path) -> Page:

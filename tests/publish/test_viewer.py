@@ -23,7 +23,7 @@ from drivers.base import ClockHealth
 from monitor.config import Configuration, configuration
 from monitor.core import Gap, Level, Samples, WindowResult, parse_address
 from monitor.damage import Assessment, LearnedRange, State
-from monitor.model import Model, ShearFrame, simulate
+from monitor.model import Building, Drawing, Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture, scene as rerun_scene
 from monitor.publish.viewer.mode_shapes import expand_shape
 from monitor.publish.viewer.output import Output
@@ -587,6 +587,59 @@ def test_without_nodes_matrices_are_a_list_of_their_stiffnesses(tmp_path: Path) 
     (bars,) = chunk_rows(file, "/frame/stories", ":strips")
     assert np.all(np.diff(bars[:, 0, 2]) < 0) and np.ptp(bars[:, 0, 0]) == 0, "one below the other"
     assert not chunk_rows(file, "/frame/modes/nodes", ":positions"), "no motion of a form that nobody knows"
+
+
+def building_scene(n: int) -> Scene:
+    """A building of `n` storeys with a sensor for each degree of freedom."""
+    stiffness, plan = np.full(3 * n, 2000.0), np.tile([20.0, 12.0], (n, 1))
+    tower = Building(np.full(n, 1e5), stiffness, 0.01, plan, np.zeros((n, 2)))
+    names = [f"storey {j} (here), {way}" for way in ("along x", "along y", "in torsion") for j in range(1, n + 1)]
+    drawing = Drawing.of_building(tower, np.full(n, 3.5))
+    channels = tuple(f"c{i}" for i in range(3 * n))
+    return replace(
+        SCENE, channels=channels, sensors=np.eye(3 * n), drawing=drawing, story_names=tuple(names), n_modes=5
+    )
+
+
+@pytest.mark.parametrize("n", [3, 12, 30])
+def test_a_building_has_an_elevation_for_each_direction_whose_labels_lie_apart(n: int, tmp_path: Path) -> None:
+    scene, ddi, seen = building_scene(n), np.zeros(3 * n), np.full(3 * n, 0.02)
+    ddi[n + 1], seen[-1] = 0.2, 1.0  # storey 2 along y; of the uppermost storey's torsion nothing is known
+    damage = damage_reading(ddi, np.eye(3 * n) * 0.004**2)
+    file = tmp_path / "live.rrd"
+    with viewed(file, scene) as view:
+        view.window(replace(window(0), modes=None, stiffness=None, damage=damage, detectable_loss=seen), "")
+    places = chunk_rows(file, "/frame/stories/labels", ":positions")[0]
+    batches = {c.entity_path: c.to_record_batch() for c in RrdReader(file).stream()}
+    labels, heads = (
+        batches[f"/frame/{path}"]["Points3D:labels"].to_pylist()[0] for path in ("stories/labels", "nodes")
+    )
+    assert (labels[n + 1], labels[-1]) == ("20.0 ± 0.8 %", "" if n > 13 else "not seen")
+    assert heads[:4] == ["along x", "along y", "in torsion", "storey 1"] and len(heads) <= 3 + 13
+    told = [p for p, text in zip(places, labels, strict=True) if text]
+    apart = np.abs(np.subtract.outer(*[np.array(told)[:, 2]] * 2)) + 9.0 * np.abs(
+        np.subtract.outer(*[np.array(told)[:, 0]] * 2)
+    )
+    assert len(told) == (1 if n > 13 else 3 * n) and (apart + np.eye(len(told))).min() > 0.07
+    assert all(places[j, 0] < places[n + j, 0] < places[2 * n + j, 0] < scene.plan.points[0, 0] for j in range(n))
+    assert np.isnan(read(file)[f"/ddi/story_{3 * n}"][window(0).t_end_ns]).all(), "the prior alone is no curve"
+
+
+def test_each_direction_of_a_building_has_its_curves_and_the_mode_shapes_a_view_of_their_own() -> None:
+    scene = building_scene(4)
+    plots = {name: paths for page in _tabs(scene) for name, paths in _contents(page)}
+    assert plots["along y"] == [f"/drift/story_{j}" for j in range(5, 9)] + ["/drift/alarm_loss"]
+    assert "- /frame/modes/**" in plots["Stiffness lost, %"]
+    columns = np.array([scene.plan.offset(k) for k in range(5)])
+    assert len({x for x, *_ in columns[:4].tolist()}) == 4 and columns[4, 2] < columns[0, 2]
+
+
+def _contents(view: Any) -> list[tuple[str, list[str]]]:
+    """Name and contents of all views below one."""
+    parts = getattr(view, "contents", [])
+    if isinstance(parts, str) or all(isinstance(part, str) for part in parts):
+        return [(str(view.name), [parts] if isinstance(parts, str) else list(parts))]
+    return [found for part in parts for found in _contents(part)]
 
 
 @pytest.mark.parametrize("n", [1, 3, 8])

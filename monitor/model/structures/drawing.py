@@ -10,14 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from monitor.core import Array, ComplexArray, Settings
+from monitor.core import DIRECTION_WORDS, Array, ComplexArray, Settings
 from monitor.model.structures.building import Building
 
 _FRAME_WIDTH = 0.4
 """Width of a drawn frame over its height. [ratio; judgement]"""
 
-_BUILDING_WIDTH = 0.5
-"""Longest side of a drawn building's plan over its height. [ratio; judgement: mode shapes stand side by side]"""
+_BUILDING_WIDTH = 0.4
+"""Longest side of a drawn building's plan over its height. [ratio; judgement]"""
+_ELEVATION_WIDTH = 0.36
+"""Width of a building's drawn elevations over its height. [ratio; measured on pictures: a loss in words fits in]"""
+_MOST_STOREYS = 13
+"""Most storeys that are numbered beside a building's elevations. [count; measured on pictures: labels do not overlap]"""
+_BUILDING_TURN = np.radians(-30.0)
+"""Angle by which a drawn building is turned, so that both directions are seen from the front. [rad; judgement]"""
 
 Dof = Annotated[int, Field(ge=1)] | None
 
@@ -66,6 +72,8 @@ class Drawing:
     """Name of each point; empty for none."""
     motion: Annotated[Array, "n 3 N"] | None = None
     """Motion of each point by the degrees of freedom, where floors turn; None: that of `dofs`."""
+    beside: int = 0
+    """Number of the last lines: elevations beside the structure, which do not move."""
 
     def displaced(self, whole: Annotated[ComplexArray, "N"]) -> Annotated[ComplexArray, "n 3"]:
         """Compute the points' displacements by those of the degrees of freedom."""
@@ -102,30 +110,48 @@ class Drawing:
         """Make the drawing of a building, the lowest storey first.
 
         Each storey has braces in the faces along x and along y, which stand for its stiffnesses, and a line in the middle for
-        that about z; a building that moves one way has the braces of that way.
+        that about z; a building that moves one way has the braces of that way.  At its left stands an elevation for each
+        direction, whose columns are the stiffnesses once more, under its name; the storeys are numbered.  Names hang below
+        their points.
         """
         n, levels = len(story_heights_m), np.append(0.0, np.cumsum(story_heights_m))
-        half = 0.5 * structure.plan_m[[0, *range(n)]]
+        half, height = 0.5 * structure.plan_m[[0, *range(n)]], float(levels[-1])
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (0, 0)])  # and the middle
         at = corners * half[:, None]
-        flat = at * _BUILDING_WIDTH * levels[-1] / structure.plan_m.max()
-        points = np.concatenate([flat, np.broadcast_to(levels[:, None, None], (n + 1, 5, 1))], axis=2).reshape(-1, 3)
-        dofs = np.full((n + 1, 5, 3), -1, dtype=np.intp)
-        for i, d in enumerate(structure.directions):
-            if d != "torsion":
-                dofs[1:, :, "xy".index(d)] = i * n + np.arange(n)[:, None]
-        lines, stories = [], []
+        cos, sin = np.cos(_BUILDING_TURN), np.sin(_BUILDING_TURN)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        flat = at @ turn.T * (_BUILDING_WIDTH * height / structure.plan_m.max())
+        body = np.concatenate([flat, np.broadcast_to(levels[:, None, None], (n + 1, 5, 1))], axis=2).reshape(-1, 3)
+        lines, stories = list[tuple[int, int]](), list[int]()
         faces = {"x": ((0, 1), (3, 2)), "y": ((0, 3), (1, 2)), "torsion": ((4, 4),)}
         for i, d in enumerate(structure.directions):
             for j in range(n):
                 lines += [(5 * j + a, 5 * j + 5 + b) for a, b in faces[d]]
                 stories += [i * n + j] * len(faces[d])
-        grey = [(5 * j + c, 5 * j + 5 + c) for j in range(n) for c in range(4)]
-        grey += [(5 * i + c, 5 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
-        members = np.array([*stories, *[-1] * len(grey)], dtype=np.intp)
+        lines += [(5 * j + c, 5 * j + 5 + c) for j in range(n) for c in range(4)]
+        lines += [(5 * i + c, 5 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
+        stories += [-1] * (len(lines) - len(stories))
+        of_body, sides, named = len(lines), list[tuple[float, float, float]](), dict[str, tuple[float, float, float]]()
+        for i, d in enumerate(structure.directions):
+            first, right = (
+                len(body) + len(sides),
+                body[:, 0].min() - (0.1 + 0.42 * (len(structure.directions) - 1 - i)) * height,
+            )
+            sides += [(x, 0.0, z) for z in levels.tolist() for x in (right - _ELEVATION_WIDTH * height, right)]
+            lines += [(first + c, first + c + 2) for c in range(2 * n)]
+            lines += [(first + 2 * j, first + 2 * j + 1) for j in range(n + 1)]
+            stories += [*np.repeat(i * n + np.arange(n), 2).tolist(), *[-1] * (n + 1)]
+            named[DIRECTION_WORDS[d]] = (right - 0.5 * _ELEVATION_WIDTH * height, 0.0, 1.1 * height)
+        numbered = range(0, n, -(-n // _MOST_STOREYS))
+        named |= {f"storey {j + 1}": (sides[0][0] - 0.16 * height, 0.0, levels[j + 1]) for j in numbered}
+        points = np.concatenate([body, sides, list(named.values())])
+        motion = np.zeros((len(points), 3, structure.n_dofs))
         on = structure.points_motion(np.repeat(np.arange(n + 1), 5).tolist(), at.reshape(-1, 2))
-        motion = np.concatenate([on, np.zeros_like(on[:, :1])], axis=1)
-        return cls(points, dofs.reshape(-1, 3), np.array([*lines, *grey], dtype=np.intp), members, motion=motion)
+        motion[: len(body), :2] = turn @ on
+        dofs = np.where(motion.any(axis=2), np.abs(motion).argmax(axis=2), -1)
+        names = (*[""] * (len(body) + len(sides)), *named)
+        members = np.array(lines, dtype=np.intp), np.array(stories, dtype=np.intp)
+        return cls(points, dofs, *members, names, motion, len(lines) - of_body)
 
     @classmethod
     def of_bars(cls, n_stories: int) -> Self:

@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from monitor import __version__
-from monitor.core import rounded, write_atomically
+from monitor.core import DIRECTION_WORDS, rounded, storey_of, write_atomically
 from monitor.publish.page.charts import Chart
 
 _SIGNS = {
@@ -34,8 +34,10 @@ _SIGNS = {
 """State or kind of verdict -> its sign, for those who do not see colours. [words]"""
 _DIGITS = 5
 """Significant digits of the numbers of charts. [1; judgement: finer than a screen]"""
-_NAMES = ("is", "id", "key", "kind", "size")
+_NAMES = ("is", "id", "key", "kind", "size", "plan")
 """Keys of a section or block that are no texts. [names]"""
+Cells = Sequence[tuple[str, str]]
+"""Cells of an elevation: the state of each and its words."""
 _FILES = resources.files("monitor.publish.page") / "files"
 
 
@@ -112,6 +114,23 @@ class Sheet:
         cells = [[asdict(v) if isinstance(v, Link) else str(v) for v in row] for row in shown]
         self.add("table", head=names, rows=cells, flows=flows)
         self.text(f"{len(rows) - len(shown)} more are not shown." if len(rows) > len(shown) else "")
+
+    def elevation(self, says: str, names: Sequence[str], cells: Cells, more: Mapping[str, Cells]) -> None:
+        """Add plan and elevation of a building, with state and words of each stiffness; nothing of another structure.
+
+        The `more` columns have a cell for each storey, the lowest first; `says` what the words are.
+        """
+        places = list(filter(None, map(storey_of, names)))
+        if not places or len(places) < len(names):
+            return
+        n = max(storey for storey, _ in places)
+        columns = {places[i][1]: cells[i : i + n] for i in range(0, len(places), n)}
+        graver = list(_SIGNS).index
+        plan = {way: max((state for state, _ in own), key=graver) for way, own in columns.items()}
+        of_storeys = [name.rpartition(", ")[0] for name in names], *columns.values(), *more.values()
+        heads = [*(DIRECTION_WORDS[way] for way in columns), *more]
+        self.add("elevation", plan=list(plan.items()), head=heads, rows=list(zip(*of_storeys, strict=False))[::-1])
+        self.note(f"Elevation: {says}. Colour: its state; in the plan (not to scale) the gravest in each direction.")
 
     def draw(self, *charts: Chart, size: str = "", more: str = "") -> None:
         """Add charts side by side, one below another if `wide`; behind the words `more` where there are some."""

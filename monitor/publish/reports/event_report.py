@@ -8,16 +8,19 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
-from monitor.core import Array
+from monitor.core import Array, name_stories, storey_of
 from monitor.events import POSSIBLY, Event, LimitTable, Review, Site, compared
 from monitor.publish.page.charts import Chart, thinned
 from monitor.publish.page.sheet import Sheet
 from monitor.publish.reports.period_data import utc
-from monitor.publish.results.event_lines import event_text, strongest_floor, with_interval
+from monitor.publish.results.event_lines import event_text, story_place, strongest_floor, with_interval
 
 _UNKNOWN = "–"
 _FINAL, _REVISED = 0, 1
+_STATES = {"within": "normal", "unknown": "not_judged", "beyond": "alarm"}
+"""How a story stands against the limits -> the state whose colour it has. [names]"""
 _HEIGHT, _TALL = 90.0, 220.0
 """Height of a curve over time, and of other charts, px."""
 _MOST_CURVES = 12
@@ -48,9 +51,11 @@ class EventPage:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the stories, as of their drifts."""
-        n = self.event.drift_m.size
-        return tuple(f"story {j + 1}" for j in range(n)) if self.site is None else self.site.names[:n]
+        """Names of the stories, as of their stiffnesses; the first ones have drifts."""
+        if self.site is not None:
+            return self.site.names
+        n = max(self.event.drift_m.size, self.event.loss.size)
+        return tuple(name_stories(story_place(self.event, j), ()) for j in range(n))
 
 
 def write_event(path: Path, page: EventPage) -> None:
@@ -93,7 +98,7 @@ def _head(sheet: Sheet, page: EventPage) -> None:
             (f"{of_all}{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)")
         )
     told = {_FINAL: "final line, by the event alone", _REVISED: "revised, by ambient motion after it"}
-    sheet.headline = f"Strong motion of {longer}{length_s:.0f} s. {event_text(e).replace('m/s^2', 'm/s²')}"
+    sheet.headline = f"Strong motion of {longer}{length_s:.0f} s. {event_text(e, page.names).replace('m/s^2', 'm/s²')}"
     revision = told.get(-1 if e.revision is None else e.revision, "preliminary")
     sheet.lead.append(("", f"Event {e.id}: {utc(e.begin_ns)} to {utc(e.end_ns)} UTC; {revision}"))
     sheet.section("What happened")
@@ -140,21 +145,30 @@ def _stories(sheet: Sheet, page: EventPage) -> None:
     e, site, r = page.event, page.site, page.review
     limits = () if site is None else site.settings.limits
     sheet.section("Stories")
-    sheet.add("stories", rows=[_story(page, j, limits) for j in range(len(page.names))])
+    stories = [_story(page, j, limits) for j in range(e.drift_m.size)]
+    n_storeys = e.drift_corner_m.size
+    if n_storeys and storey_of(page.names[0]):
+        cells = [(_STATES[state], _number(1e3 * d, 3)) for (_, state, _), d in zip(stories, e.drift_m, strict=True)]
+        corners = [("", _number(1e3 * d, 3)) for d in e.drift_corner_m]
+        sheet.elevation("largest drift, mm", page.names[: len(cells)], cells, {"at a corner": corners})
+    else:
+        sheet.add("stories", rows=stories)
     if np.isfinite(e.drift_m).any():
         of_drift = [limit.drift_ratio for limit in limits if limit.drift_ratio is not None]
-        sheet.draw(_profile(page, None if site is None else site.heights_m, of_drift), size="wide")
+        ways = np.split(np.arange(e.drift_m.size), e.drift_m.size // n_storeys if n_storeys else 1)
+        profiles = (_profile(page, way, None if site is None else site.heights_m, of_drift) for way in ways)
+        sheet.draw(*profiles, size="" if len(ways) > 1 else "wide")
         rows = [
             (name, ("at least " if bound else "") + _with_std(1e3 * drift, 1e3 * std), _number(100 * ratio, 3))
             for name, drift, std, ratio, bound in zip(
-                page.names, e.drift_m, e.drift_std_m, e.drift_ratio, e.is_bound, strict=True
+                page.names[: e.drift_m.size], e.drift_m, e.drift_std_m, e.drift_ratio, e.is_bound, strict=True
             )
         ]
         sheet.table(["story", "#largest drift, mm", "#over the height, %"], rows)
     else:
         sheet.text("No drift is known.")
     if r is not None:
-        known = [j for j in range(len(page.names)) if np.isfinite(r.drift_m[:, j]).all()]
+        known = [j for j in range(e.drift_m.size) if np.isfinite(r.drift_m[:, j]).all()]
         _over_time(sheet, r, [(f"{page.names[j]}: drift, mm", 1e3 * r.drift_m[:, j]) for j in known])
 
 
@@ -176,19 +190,21 @@ def _story(page: EventPage, j: int, limits: Sequence[LimitTable]) -> tuple[str, 
     return page.names[j], state, f"drift {drift}{ratio}{lost}: {words}"
 
 
-def _profile(page: EventPage, heights_m: Array | None, limits: Sequence[float]) -> Chart:
-    """Draw the largest drift of each story over the height: its ratio with the limits, without heights the drift in mm."""
-    event, n = page.event, len(page.names)
-    thick = np.ones(n) if heights_m is None else heights_m
-    top = np.cumsum(thick[::-1])[::-1]  # story 1 is the uppermost
-    by_ratio = bool(np.isfinite(event.drift_ratio).any())
+def _profile(page: EventPage, of: NDArray[np.intp], heights_m: Array | None, limits: Sequence[float]) -> Chart:
+    """Draw the largest drift of some stories over the height: its ratio with the limits, without heights the drift in mm."""
+    event, n, is_building = page.event, of.size, bool(page.event.drift_corner_m.size)
+    thick = np.ones(n) if heights_m is None else heights_m[of]
+    # Story 1 is the uppermost, storey 1 of a building the lowest.
+    top = np.cumsum(thick) if is_building else np.cumsum(thick[::-1])[::-1]
+    by_ratio = heights_m is not None and bool(np.isfinite(event.drift_ratio).any())
     scale = 100.0 / thick if by_ratio else np.full(n, 1e3)
-    values, halves = event.drift_m * scale, np.nan_to_num(2.0 * event.drift_std_m * scale)
+    values, halves = event.drift_m[of] * scale, np.nan_to_num(2.0 * event.drift_std_m[of] * scale)
     shown = [100.0 * limit for limit in limits] if by_ratio else []
-    largest = _MARGIN * max(float(np.nanmax(values + halves)), *shown, 0.0)
+    largest = _MARGIN * max(float(np.nanmax(values + halves, initial=0.0)), 0.0, *shown) or 1.0
     title = f"Largest drift{' ratio, %' if by_ratio else ', mm'}, over the height in {'stories' if heights_m is None else 'm'}"
+    title += page.names[of[0]][page.names[of[0]].rfind(", ") :] if is_building else ""
     said = "Line: two standard deviations on either side." + (" Dashed red: the site's limits." if shown else "")
-    axes = (0.0, largest), (0.0, float(top[0])), max(_HEIGHT, min(_TALL, 2.0 * _ROW * n))
+    axes = (0.0, largest), (0.0, float(top.max())), max(_HEIGHT, min(_TALL, 2.0 * _ROW * n))
     chart = Chart(title, *axes, x_title="drift ratio, %" if by_ratio else "drift, mm", note=said)
     for j in np.flatnonzero(np.isfinite(values)):
         low, high, value = float(top[j] - thick[j]), float(top[j]), float(values[j])
@@ -291,8 +307,7 @@ def _loss(sheet: Sheet, page: EventPage) -> None:
         why = e.note if e.revision == _REVISED else f"not known until the revision after {hours} of ambient motion"
         sheet.text(f"{why[:1].upper() + why[1:]}.")
         return
-    names = page.names if page.site is None else page.site.names
-    losses = zip(names, e.loss, e.loss_std, strict=True)
+    losses = zip(page.names[: e.loss.size], e.loss, e.loss_std, strict=True)
     sheet.table(["story", "#lost, %"], [(name, _with_std(100 * loss, 100 * std)) for name, loss, std in losses])
     if e.revision == _REVISED:
         sheet.note("Stiffness of ambient motion after the event against that before it; with two standard deviations.")

@@ -287,14 +287,17 @@ def _where(page: Sheet, period: Period) -> None:
     if (every := standing.get(WHOLE)) is not None:
         name = period.known.parts.every.capitalize()
         page.text(f"{name}: {every.level.value} since {utc(_since(every))} UTC.")
-    rows = []
+    rows, cells = [], []
     for j, c in enumerate(r.ddi or r.changes, 1):
         alarm, (seen, says) = standing.get(j), _sight(j, period)
         state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
         scale, _ = _unit(j, period)
         size = with_interval(scale * c.latest, scale * c.latest_half) if c.values else _UNKNOWN
+        cells.append((state.replace(" ", "_"), size if state != "not judged" else state))
         rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
         rows.append((rank, j, (_name(j, period), state, size, utc(_since(alarm)) if alarm else "", says)))
+    says = f"stiffness lost {'since the baseline' if judged else 'against the structure file'}, %"
+    page.elevation(f"{says}, by storey and direction", period.known.names, cells, {})
     what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
     head = ["story", "state", what, "@since, UTC", "what would be seen"]
     change = "#change, %" if all(period.known.relative) else "#change (where % is not said, in its unit)"
@@ -519,7 +522,7 @@ def _events(page: Sheet, period: Period, beside: Path | None) -> None:
         place = period.pages.get(e.id)
         there = beside is not None and place is not None and place.is_file()
         named = Link(e.id, quote(relpath(str(place), beside))) if there else e.id
-        rows.append((named, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note))
+        rows.append((named, utc(e.begin_ns), utc(e.end_ns), event_text(e, period.known.names), e.note))
     page.table(["@event", "@from, UTC", "@to, UTC", "what it was", "note"], rows, most=_MAX_ROWS)
     page.note("The page of an event is written by: shm-monitor report DIR --event ID")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import Array, parse_json, rounded
+from monitor.core import DIRECTION_WORDS, Array, name_stories, parse_json, rounded
 from monitor.events import Event, FloorMotion, Spectrum
 
 EVENTS = "events.jsonl"
@@ -114,8 +114,11 @@ def strongest_floor(event: Event) -> FloorMotion | None:
     return max(known, key=lambda f: f.peak_m_s2, default=None)
 
 
-def event_text(event: Event) -> str:
-    """Tell an event in one sentence, as for a message: first the verdict, then the largest acceleration and the largest drift."""
+def event_text(event: Event, names: Sequence[str] = ()) -> str:
+    """Tell an event in one sentence, as for a message: first the verdict, then the largest acceleration and the largest drift.
+
+    The `names` are those of the stories.
+    """
     parts = [event.verdict or "no limit was judged"]
     of_ground = "at least " if event.cut else ""
     least = "at least " if event.saturated else of_ground
@@ -126,15 +129,23 @@ def event_text(event: Event) -> str:
     if np.isfinite(event.drift_m).any():
         j = int(np.nanargmax(event.drift_m))
         drift = with_interval(1e3 * event.drift_m[j], 2e3 * event.drift_std_m[j])
-        parts.append(f"largest drift {least}{drift} mm in story {j + 1}")
+        parts.append(f"largest drift {least}{drift} mm in {story_place(event, j)}")
     if np.isfinite(event.loss).any():
         j = int(np.nanargmax(event.loss / event.loss_std))
         lost = with_interval(100.0 * event.loss[j], 200.0 * event.loss_std[j])
-        parts.append(f"lasting loss {lost} % of stiffness in story {j + 1}")
+        parts.append(f"lasting loss {lost} % of stiffness in {story_place(event, j)}")
     if event.saturated:
         parts.append(f"{', '.join(event.saturated)} reached the end of the range")
-    text = "; ".join(parts)
+    text = name_stories("; ".join(parts), names)
     return text[0].upper() + text[1:] + "."
+
+
+def story_place(event: Event, j: int) -> str:
+    """Return the place of an event's drift or loss by its number in their lists, from 0, as effects have it."""
+    n, ways = event.drift_corner_m.size, list(DIRECTION_WORDS)
+    if not n:
+        return f"story {j + 1}"
+    return f"storey {j % n + 1} {ways[j // n]}" if event.loss.size > n else f"storey {j + 1}"
 
 
 def with_interval(value: float, half: float, digits: int = 3) -> str:

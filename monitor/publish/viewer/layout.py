@@ -14,8 +14,8 @@ from monitor.publish.viewer.scene import STABILISATION, Scene
 from monitor.publish.viewer.state import LAMP
 
 DARK = (24, 26, 30)
-_BUILDING_RISE = 0.6
-"""Height from which a building is seen, over the distance. [ratio; judgement: both directions and the turns are seen]"""
+_BUILDING_RISE = 0.2
+"""Height from which a building is seen, over the distance. [ratio; judgement: both directions, turns, and labels apart]"""
 _DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
 """Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
 _MODES_IN_A_COLUMN = 3
@@ -55,20 +55,25 @@ def alone(views: rrb.Container, **time: Any) -> rrb.Blueprint:
 
 
 def _frame(scene: Scene) -> rrb.Spatial3DView:
-    """Make the 3D view of the structure and its mode shapes, seen from the front."""
-    name = "Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes"
-    rise = 0.15 if scene.drawing.motion is None else _BUILDING_RISE
-    return view_from_front("/frame", name, scene.plan.low, scene.plan.high, rise)
+    """Make the 3D view of the structure and its mode shapes, seen from the front; of a building without them."""
+    plan, name = scene.plan, "Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes"
+    if plan.apart is None:
+        return view_from_front("/frame", name, plan.low, plan.high)
+    alone = ["/frame/**", "- /frame/modes/**"]
+    return view_from_front("/frame", "Stiffness lost, %", plan.low, plan.high, _BUILDING_RISE, contents=alone)
 
 
-def view_from_front(origin: str, name: str, low: Array, high: Array, rise: float = 0.15) -> rrb.Spatial3DView:
+def view_from_front(
+    origin: str, name: str, low: Array, high: Array, rise: float = 0.15, **more: Any
+) -> rrb.Spatial3DView:
     """Make the 3D view of a box between two corners, seen from the front and from above by a rise."""
     centre, (width, _, height) = 0.5 * (low + high), high - low
     away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
     eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, rise]), look_target=centre)
     return rrb.Spatial3DView(
-        origin=origin, name=name, eye_controls=eye, line_grid=rrb.LineGrid3D(visible=False), background=DARK
-    )
+        origin=origin, name=name, eye_controls=eye, line_grid=rrb.LineGrid3D(visible=False), background=DARK,
+        **more,
+    )  # fmt: skip
 
 
 def _canvas(path: str, name: str) -> rrb.Spatial2DView:
@@ -113,14 +118,14 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
             rrb.TextDocumentView(origin="/status", name="Latest window"),
             rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
         ),
-        row_shares=[0.4, 3.4, 5.6, 4.4],
+        row_shares=[0.4, 3.4, 5.6, 4.4] if scene.plan.apart is None else [0.4, 3.4, 7.2, 2.8],
     )
     change = plot("/modes/change", f"Frequencies: change since {first}, %")
     frequencies = rrb.Grid(*modes, grid_columns=1 if n <= _MODES_IN_A_COLUMN else 2, name="Frequencies, Hz")
     stiffness = rrb.Tabs(
-        plot("/ddi", f"Stiffness lost {since} (DDI), %"),
-        plot("/stiffness", "Stiffness, N/m"),
-        plot(DRIFT, "Events: largest drift, mm"),
+        _of_stories(scene, "/ddi", f"Stiffness lost {since} (DDI), %"),
+        _of_stories(scene, "/stiffness", "Stiffness, N/m"),
+        _of_stories(scene, DRIFT, "Events: largest drift, mm"),
         active_tab=0 if scene.has_baseline else 1,
     )
     right = rrb.Vertical(
@@ -131,6 +136,16 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
         row_shares=[6, 2, 6, 3],
     )
     return rrb.Horizontal(left, right, column_shares=[2, 3], name="Is it healthy?")
+
+
+def _of_stories(scene: Scene, origin: str, name: str) -> rrb.Container | rrb.View:
+    """Make the plot of the stories' curves, of a building one for each direction."""
+    ways = dict.fromkeys(way for way, *_ in scene.series)
+    if not any(ways):
+        return plot(origin, name)
+    paths = {way: [f"{origin}/story_{j}" for j, of in enumerate(scene.series, 1) if of[0] == way] for way in ways}
+    each = (plot(origin, way, contents=[*own, f"{origin}/alarm_loss"]) for way, own in paths.items())
+    return rrb.Horizontal(*each, name=name)
 
 
 def _of_features(scene: Scene, names: Sequence[str]) -> rrb.Horizontal:
@@ -190,6 +205,8 @@ def _present_motion(scene: Scene) -> rrb.Horizontal:
         row_shares=[1, 1],
     )
     shapes = _frame(scene)
+    if scene.plan.apart is not None:
+        shapes = view_from_front("/frame/modes", "", *scene.plan.apart, _BUILDING_RISE)
     shapes.name = "Mode shapes: they move on the timeline 'phase'"
     right = rrb.Vertical(shapes, plot("/modes/damping", "Damping, %"), row_shares=[3, 2])
     return rrb.Horizontal(left, right, column_shares=[5, 4], name="What does it do now?")

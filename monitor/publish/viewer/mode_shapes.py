@@ -57,6 +57,7 @@ class ModeShapes:
         self._model_shapes: Array | None = None
         if scene.model is not None:
             self._model_shapes = scene.model.modes().shapes[: self._n_dofs]
+        self._lines = scene.drawing.lines[: len(scene.drawing.lines) - scene.drawing.beside]
         self._moving = np.flatnonzero((dofs >= 0).any(axis=1))
         self._latest: ModalEstimate | None = None
         self._shown = False
@@ -88,16 +89,16 @@ class ModeShapes:
 
     def _draw_phase(self, to: Rows, modes: ModalEstimate, turn: complex) -> None:
         """Draw the mode shapes turned in phase by the complex factor `turn`."""
-        drawing, strips, dots = self._scene.drawing, Strips(), []
+        lines, strips, dots = self._lines, Strips(), []
         for shape, k in zip(modes.shapes, modes.model_mode.tolist(), strict=True):
             rest = self._plan.points + self._plan.offset(k)
             moved = rest + self._deflection(shape, k, turn)
-            strips += [*rest[drawing.lines], *moved[drawing.lines]]
+            strips += [*rest[lines], *moved[lines]]
             dots.append(moved[self._moving])
         colours = self._colours(modes)
         of_strips = np.repeat(np.stack([np.full_like(colours, GREY), colours], axis=1).reshape(-1, 3),
-                              len(drawing.lines), axis=0)  # fmt: skip
-        radii = np.tile(np.repeat([0.003, 0.01], len(drawing.lines)), len(colours))
+                              len(lines), axis=0)  # fmt: skip
+        radii = np.tile(np.repeat([0.003, 0.01], len(lines)), len(colours))
         to.add("/frame/modes", rr.LineStrips3D, strips=strips, colors=of_strips, radii=radii)
         of_dots = np.repeat(colours, self._moving.size, axis=0)
         to.add("/frame/modes/nodes", rr.Points3D, positions=np.concatenate(dots), colors=of_dots, radii=[0.018])

@@ -66,6 +66,7 @@ class ResultDrawing:
         )
         self._shapes, self._plan = ModeShapes(scene, stream, self._rows), scene.plan
         self._is_member = scene.drawing.stories >= 0
+        self._radius = [0.02 if self._plan.apart is None else 0.012]
         self._members = Strips(self._plan.points[scene.drawing.lines[self._is_member]])
         self._thin = Thinning() if thin else None
         self._drawn_by: dict[type[Any], Callable[[Any], None]] = {
@@ -86,11 +87,11 @@ class ResultDrawing:
         self._state.begin()
         for i, channel in enumerate(self._scene.channels):
             self._style(self._stream_path(channel), [channel], i)
-        for i, name in enumerate(self._scene.story_names):
+        for j, (_, name, i) in enumerate(self._scene.series, 1):
             for entity in ("ddi", "stiffness"):
-                self._style(f"/{entity}/story_{i + 1}", [name] * 3, i)
+                self._style(f"/{entity}/story_{j}", [name] * 3, i)
             marks = rr.SeriesPoints(names=[name], colors=[SERIES[i % len(SERIES)]], marker_sizes=[5.0])
-            self._stream.log(f"{DRIFT}/story_{i + 1}", marks, static=True)
+            self._stream.log(f"{DRIFT}/story_{j}", marks, static=True)
         for i, name in enumerate(() if self._scene.features is None else self._scene.features.features):
             self._style(f"/modes/change/{i + 1}", [name] * 3, i)
             self._style(f"/modes/sigma/{i + 1}", [name], i)
@@ -103,7 +104,8 @@ class ResultDrawing:
         self._stream.log("/frame/lines", others, static=True)
         named = [(points[i], name) for i, name in enumerate(drawing.names) if name]
         if named:
-            nodes = rr.Points3D([p for p, _ in named], labels=[n for _, n in named], colors=[GREY], radii=[0.012],
+            dot = 0.0001 if drawing.beside else 0.012
+            nodes = rr.Points3D([p for p, _ in named], labels=[n for _, n in named], colors=[GREY], radii=[dot],
                                 show_labels=True)  # fmt: skip
             self._stream.log("/frame/nodes", nodes, static=True)
 
@@ -183,7 +185,7 @@ class ResultDrawing:
         """Write an event into the log, and draw the largest drift of each story at its end."""
         self._set_time(event.end_ns)
         level = rr.TextLogLevel.WARN if event.exceeded else rr.TextLogLevel.INFO
-        self._event(event.end_ns, f"{telling(event)}: {words_of(event)}", level)
+        self._event(event.end_ns, f"{telling(event)}: {words_of(event, self._scene.story_names)}", level)
         for j in np.flatnonzero(np.isfinite(event.drift_m)):
             self._stream.log(f"{DRIFT}/story_{j + 1}", rr.Scalars(1e3 * event.drift_m[j]))
 
@@ -280,17 +282,20 @@ class ResultDrawing:
             self._rows.scalars("/ddi/alarm_loss", 100.0 * loss_at)
         colours, labels = [], []
         for j, (ddi, std) in enumerate(readings):
+            if is_blind := detectable is not None and detectable[j] >= 1.0:  # nothing but the prior
+                ddi = std = None
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             seen = detectable is not None and is_seen(float(detectable[j]), loss_at)
             judged = self._scene.has_baseline and (seen or j + 1 in result.alarm.active)
             colours.append(loss_colour(ddi if judged else None, loss_at))
-            known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
+            unknown = "not seen" if is_blind else "unknown"
+            known = unknown if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             is_quiet = ddi is None or std is None or abs(ddi) <= 2 * std
-            # Along a long structure there is room for the names of those stories only that changed.
-            labels.append(f"{j + 1}" if self._plan.is_long and is_quiet else f"{self._scene.story_names[j]}: {known}")
+            named = (f"{j + 1}", f"{self._scene.story_names[j]}: {known}") if self._plan.apart is None else ("", known)
+            labels.append(named[0] if self._plan.is_crowded and is_quiet else named[1])
         of_stories = np.array(colours, dtype=np.uint8)
         of_members = of_stories[self._scene.drawing.stories[self._is_member]]
-        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._members, colors=of_members, radii=[0.02])
+        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._members, colors=of_members, radii=self._radius)
         places = [(x, y, z) for x, y, z in self._plan.labels.tolist()]
         label(self._rows, "/frame/stories/labels", places, labels, of_stories)
 

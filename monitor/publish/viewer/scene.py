@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.base import ClockHealth
 from monitor.config import Configuration
-from monitor.core import Array, ModalEstimate, WindowResult, utc
+from monitor.core import DIRECTION_WORDS, Array, ModalEstimate, WindowResult, storey_of, utc
 from monitor.damage import AnyBaseline, Baseline, Features, LearnedRange, ModalBaseline, learned_ranges
 from monitor.model import Drawing, Model
 
@@ -40,6 +40,8 @@ _LABEL_STEP = 0.09
 """Distance of two labels, over the size of the structure. [ratio; judgement]"""
 _LABEL_SHARE = 0.33
 """Share of the view's width that the labels at the left take. [ratio; measured on pictures]"""
+_IN_A_ROW = 4
+"""Mode shapes beside each other where they have a view of their own. [count; judgement: legible in half a window]"""
 _LABEL_ROWS = 3
 """Rows over which the labels of a long structure are spread. [count; judgement]"""
 STABILISATION = (100.0, 55.0)
@@ -65,10 +67,16 @@ class Plan:
     """Lower corner of structure, labels and mode shapes."""
     high: Annotated[Array, "3"]
     """Their upper corner."""
+    apart: tuple[Array, Array] | None = None
+    """Corners of the mode shapes, where they have a view of their own, as of a building."""
+    is_crowded: bool = False
+    """Whether there is room for the labels of those stories only that changed."""
 
     @classmethod
     def of(cls, drawing: Drawing, n_stories: int, n_modes: int) -> Plan:
         """Plan the view of a drawing: labels in a column at its left, or in rows above a long one; none without stories."""
+        if drawing.beside:
+            return cls._of_elevations(drawing, n_stories, n_modes)
         low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
         scale = max(float((high - low).max()), 1e-12)
         points, size = (drawing.points - low) / scale, (high - low) / scale
@@ -90,10 +98,32 @@ class Plan:
                 (-room - 0.1, 0.0, -0.15),
                 (size[0] + length + _MARGIN, 0.0, size[2] + (0.05 if n_stories else 0.2)),
             )
-        return cls(points, labels, size, is_long, np.array(low), np.array(high))
+        return cls(points, labels, size, is_long, np.array(low), np.array(high), is_crowded=is_long)
+
+    @classmethod
+    def _of_elevations(cls, drawing: Drawing, n_stories: int, n_modes: int) -> Plan:
+        """Plan the view of a building, with a label in each storey of its elevations."""
+        body, beside = (drawing.points[lines] for lines in np.split(drawing.lines, [-drawing.beside]))
+        low, high = body.min(axis=(0, 1)), body.max(axis=(0, 1))
+        points, size = (drawing.points - low) / (high - low).max(), (high - low) / (high - low).max()
+        of = drawing.stories[-drawing.beside :]
+        cells = [beside[of == j].reshape(-1, 3) for j in range(n_stories)]
+        labels = np.array([(*c.mean(axis=0)[:2], c[:, 2].max()) for c in cells]).reshape(-1, 3)
+        labels = (labels - low) / (high - low).max()
+        room, rows = np.array([_MARGIN, 0.0, _MARGIN]), -(-n_modes // _IN_A_ROW)
+        wide = min(n_modes, _IN_A_ROW) * _pitch(size, is_long=False)
+        modes = np.array([0.0, 0.0, -rows * _pitch(size, is_long=True)]) - room, np.array([wide, 0.0, 0.0])
+        crowded = sum(map(bool, drawing.names)) < len({*labels[:, 0].tolist()}) + len({*labels[:, 2].tolist()})
+        box = points.min(axis=0) - 0.6 * room, points.max(axis=0) + room * (1.0, 0.0, 0.0)
+        return cls(points, labels, size, False, *box, modes, crowded)
 
     def offset(self, mode: int) -> Annotated[Array, "3"]:
         """Compute the place of a mode shape relative to the structure."""
+        if self.apart is not None:
+            row, column = divmod(mode, _IN_A_ROW)
+            return np.array(
+                [column * _pitch(self.size, is_long=False), 0.0, -(row + 1) * _pitch(self.size, is_long=True)]
+            )
         axis = np.array([0.0, 0.0, -1.0] if self.is_long else [1.0, 0.0, 0.0])
         return (mode + 1) * axis * _pitch(self.size, is_long=self.is_long)
 
@@ -136,6 +166,15 @@ class Scene:
     def n_stories(self) -> int:
         """Number of stories."""
         return len(self.story_names)
+
+    @property
+    def series(self) -> list[tuple[str, str, int]]:
+        """Direction in words, name and number of each story where it is one of the curves of its direction."""
+        places = map(storey_of, self.story_names)
+        return [
+            ("", name, j) if place is None else (DIRECTION_WORDS[place[1]], f"storey {place[0]}", place[0] - 1)
+            for j, (name, place) in enumerate(zip(self.story_names, places, strict=True))
+        ]
 
     @property
     def plan(self) -> Plan:

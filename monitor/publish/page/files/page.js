@@ -12,7 +12,7 @@ const AREAS = { // colour and opacity
 const PALETTE = [[24, 24, 62], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]; // from weak to strong
 const STEPS_S = [[1, [1, 2, 5, 10, 15, 30]], [60, [1, 2, 5, 10, 15, 30]], [3600, [1, 2, 3, 6, 12]], [86400, [1, 2, 4, 7, 14, 30, 60, 90, 180, 365, 730, 1825]]]
   .flatMap(([unit, counts]) => counts.map((count) => unit * count));
-const LABEL_PX = 70, FONT = "12px system-ui, sans-serif";
+const LABEL_PX = 70, RIGHT_PX = 20, FONT = "12px system-ui, sans-serif";
 const $ = (id) => document.getElementById(id);
 let content = { charts: {} }, plots = [];
 
@@ -126,14 +126,14 @@ function plot(figure, spec) {
   const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
   const main = spec.marks.findLast((m) => m.is !== "shade" && m.is !== "grid" && m.x.length > 2 && m.x.every((x, i) => !i || x >= m.x[i - 1]));
   const axis = { stroke: colour("--muted"), grid: { stroke: colour("--line"), width: .5 }, ticks: { show: false }, font: FONT, gap: 6 };
-  const left = spec.y_names ? Math.min(160, width * .34) : 58, inside = width - left - 12;
+  const left = spec.y_names ? Math.min(160, width * .34) : 58, inside = width - left - RIGHT_PX;
   const times = spec.stretches && timeTicks(spec.stretches, inside), given = (pairs) => ({ splits: () => pairs.map((p) => p[0]), values: () => pairs.map((p) => p[1]) });
   const bottom = times ? given(times) : spec.x_names ? given(spec.x_names.map((name, i) => [i, cut(name, inside / spec.x_names.length)])) : { space: 60, values: (_, at) => at.map(number) };
   const side = spec.y_names ? given(spec.y_names.map((name, i) => [spec.y_names.length - .5 - i, cut(name, left - 8)]))
     : spec.log ? given(decades(...spec.y).map((y) => [y, number(y)])) : spec.height < 40 ? given([]) : { space: 26, values: (_, at) => at.map(number) };
   const under = (times ? 40 : 24) + (spec.x_title ? 18 : 0);
   const options = {
-    width, height: spec.height + under + 10, padding: [8, 12, 0, 0], legend: { show: false }, series: [{}, { paths: () => null, points: { show: false } }],
+    width, height: spec.height + under + 10, padding: [8, RIGHT_PX, 0, 0], legend: { show: false }, series: [{}, { paths: () => null, points: { show: false } }],
     scales: { x: { time: false, range: spec.x }, y: { range: spec.y, distr: spec.log ? 3 : 1 } },
     axes: [{ ...axis, ...bottom, size: times ? 40 : 24, ...(spec.x_title && { label: spec.x_title, labelSize: 18, labelGap: 0, labelFont: FONT }) }, { ...axis, ...side, size: left }],
     cursor: { y: false, points: { show: false }, drag: { x: false, y: false }, ...(times && { sync: { key: "time" } }) },
