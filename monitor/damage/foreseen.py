@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from monitor.core import DIRECTION_WORDS, Array, storey_of
+from monitor.core import DIRECTION_WORDS, Array, storey_of, together
 from monitor.damage.updating import Observation, predict
 from monitor.model import InstrumentedModel
 
@@ -50,21 +50,16 @@ def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Seque
         groups.setdefault("" if place is None else DIRECTION_WORDS[place[1]], []).append(j)
     says = []
     for words, members in groups.items():
-        of_data = (
-            np.linalg.inv(covariance[np.ix_(members, members)]).sum()
-            - (site.stiffness_prior_std[members] ** -2.0).sum()
-        )
-        whole = of_data >= _TOLD_STD**-2.0
+        of_data = np.linalg.inv(covariance[np.ix_(members, members)]).sum()
+        whole = of_data - (site.stiffness_prior_std[members] ** -2.0).sum() >= _TOLD_STD**-2.0
         subject, which = f"{words}: " if words else "", [names[j] for j in members if told[j]]
-        numbers = ", ".join(str((storey_of(name) or (name,))[0]) for name in which)
-        rest = "the others only as a whole" if whole else "the others not"
         if len(which) == len(members):
             says.append(f"{subject}every storey is told from the others")
         elif which:
-            says.append(f"{subject}told are {numbers}, {rest}")
+            rest = "only as a whole" if whole else "not"
+            says.append(f"{subject}told are {together(which, names)}, the others {rest}")
         elif whole:
             says.append(f"{subject}seen as a whole: a loss there is told, but not in which storey")
         else:
             says.append(f"{subject}not seen")
-    unseen = [w for w in DIRECTION_WORDS.values() if w not in groups and "" not in groups]
-    return says + [f"{words}: not seen, and not judged" for words in unseen]
+    return says + [f"{w}: not seen, and not judged" for w in DIRECTION_WORDS.values() if not {"", w} & groups.keys()]

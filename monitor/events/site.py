@@ -56,7 +56,7 @@ class Site:
         sensors, drifts, corners = site.sensor_matrix, structure.drift_matrix(), np.zeros((0, 0))
         forces: Array = np.zeros((0, structure.n_dofs))
         if isinstance(structure, ShearFrame | Building):
-            forces = np.linalg.solve(drifts.T, structure.mass_matrix())
+            forces = np.asarray(np.linalg.solve(drifts.T, structure.mass_matrix()), dtype=np.float64)
         heights = structure.heights_m if isinstance(structure, Building) else structure.story_heights_m
         if isinstance(structure, Building):
             sways = [j for j, place in enumerate(structure.story_places) if not place.endswith("torsion")]

@@ -11,9 +11,6 @@ from monitor.core import Array
 from monitor.model.effects import Context
 from monitor.model.model import Model
 
-_ROUNDED_TO_0 = 1e-9
-"""Share of the largest below which a motion is not told from none. [ratio; rounding]"""
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InstrumentedModel:
@@ -67,10 +64,10 @@ class InstrumentedModel:
 
     def hidden_stiffnesses(self) -> tuple[int, ...]:
         """List the stiffnesses, from 1, that strain in no mode which a sensor sees: of another direction that nothing couples."""
-        shapes = self.model.modes().shapes
+        shapes, rounded = self.model.modes().shapes, float(np.sqrt(np.finfo(float).eps))
         moved, strained = np.abs(self.sensor_matrix @ shapes), np.abs(self.model.structure.drift_matrix() @ shapes)
-        seen = moved.max(axis=0) > _ROUNDED_TO_0 * moved.max()
-        told = strained[:, seen].max(axis=1, initial=0.0) > _ROUNDED_TO_0 * strained.max(axis=1)
+        seen = moved.max(axis=0) > rounded * moved.max()
+        told = strained[:, seen].max(axis=1, initial=0.0) > rounded * strained.max(axis=1)
         return tuple(int(j) + 1 for j in np.flatnonzero(~told))
 
     def with_model(self, model: Model) -> InstrumentedModel:

@@ -27,7 +27,10 @@ def test_it_is_raised_with_the_first_line_and_not_again_by_the_same_limit() -> N
         if new and not told:
             (raised,) = pipeline.state.events.alarms
             assert new[0].revision is None and raised.condition is AlarmCondition.RETURNED_UNACKNOWLEDGED
-            assert raised.limits == ((1, 0), (1, 1), (1, 2)) and "go and look (story 1 from the top: drift ratio" in raised.says
+            assert (
+                raised.limits == ((1, 0), (1, 1), (1, 2))
+                and "go and look (story 1 from the top: drift ratio" in raised.says
+            )
             seen = acknowledge((raised,), new[0].id, "Ada")
             pipeline.state = replace(pipeline.state, events=replace(pipeline.state.events, alarms=seen))
         told += new
