@@ -53,8 +53,8 @@ from monitor.model import (
 from monitor.signals import FrontEnd, HealthSettings, ProcessingSettings, QualitySettings, TemperatureSettings
 
 NO_MODEL = (
-    'structure.kind: "modal" has no model of masses and stiffnesses, and this needs one: state kind = "shear_frame" or '
-    '"matrices" with the floor of each sensor'
+    'structure.kind: "modal" has no model of masses and stiffnesses, and this needs one: state kind = "building", '
+    '"shear_frame" or "matrices" with the floor of each sensor'
 )
 """What is said where a model is needed and none is drawn. [words]"""
 
@@ -420,8 +420,8 @@ class Configuration(Settings):
     @property
     def forced(self) -> tuple[int, ...]:
         """Degree of freedom on which each measured force acts, from 1."""
-        structure = self.drawn.structure() if self.inputs else None
-        if isinstance(structure, Building):
+        if self.inputs and isinstance(self.structure, BuildingTable):
+            structure = self.drawn.structure()
             return tuple(place_index(f"floor {i.floor} {i.axis}", structure) + 1 for i in self.inputs)
         return tuple(i.floor for i in self.inputs)
 

@@ -182,7 +182,7 @@ def test_a_planted_loss_of_a_tenth_is_found_in_its_story_alone(site: Site) -> No
             assert line["alarm"]["level"] == "normal"
         assert line["alarm"]["stories"] in ([], [2])
     assert lines[-1]["alarm"]["level"] == "alarm"
-    assert "alarm: Story 2 lost" in done.stdout
+    assert "alarm: Story 2 from the top lost" in done.stdout
 
 
 @pytest.mark.system

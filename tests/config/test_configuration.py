@@ -421,7 +421,7 @@ def test_a_drawing_that_does_not_fit_the_structure_is_refused(load: Load, frame_
 def test_stories_are_called_by_their_names_in_both_kinds(load: Load, frame_text: str) -> None:
     named = frame_text.replace("damping_ratio", 'story_names = ["roof", "middle", "foot"]\ndamping_ratio', 1)
     assert load(named).story_names == ("story 1 (roof)", "story 2 (middle)", "story 3 (foot)")
-    assert load(frame_text).story_names == ("story 1", "story 2", "story 3")
+    assert load(frame_text).story_names == tuple(f"story {j} from the top" for j in (1, 2, 3))
     assert_problem(load, named.replace('"roof", ', ""), "story_names has 2 values for 3 masses")
 
 

@@ -32,8 +32,8 @@ def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:
     titles = (
         "a1: acceleration",
         "ground: acceleration",
-        "story 3: drift",
-        "story 3: force",
+        "story 3 from the top: drift",
+        "story 3 from the top: force",
         "drift ratio",
         "First mode",
     )
@@ -49,11 +49,11 @@ def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:
 def test_the_curves_are_those_of_the_recording() -> None:
     event, site, seen = told()
     shown = page(event, site, seen)
-    (line,), (strong,) = (marks(shown.chart("story 1: drift"), what) for what in ("line", "shade"))
+    (line,), (strong,) = (marks(shown.chart("story 1 from the top: drift"), what) for what in ("line", "shade"))
     assert max(np.abs(line["y"])) == pytest.approx(1e3 * np.abs(seen.drift_m[:, 0]).max(), rel=1e-4)
     at = seen.t_s[[seen.record.strong.start, seen.record.strong.stop - 1]]
     assert strong["x"] == pytest.approx(at, abs=0.01)
-    (loop,) = marks(shown.chart("story 3: force"), "line")
+    (loop,) = marks(shown.chart("story 3 from the top: force"), "line")
     assert max(loop["y"]) == pytest.approx(seen.force_n[seen.record.strong, 2].max(), rel=1e-3)
 
 
@@ -179,7 +179,11 @@ def test_the_page_is_made_of_the_folder_alone(folder: tuple[Path, Event]) -> Non
         place = page_of(out, wanted)
         assert write_event_page(out, read_event_line(out, wanted), place).id == event.id
         html = place.read_text()
-        assert "story 3: force" in html and "inspect &lt;this&gt; story" in html and "0 s before the event" not in html
+        assert (
+            "story 3 from the top: force" in html
+            and "inspect &lt;this&gt; story" in html
+            and "0 s before the event" not in html
+        )
 
 
 def test_the_page_is_titled_by_the_structure_not_by_the_folder(tmp_path: Path) -> None:
@@ -267,7 +271,7 @@ def test_the_motion_is_drawn_in_time_with_the_drifts(tmp_path: Path) -> None:
         if chunk.entity_path == "/frame/moving":
             times += columns["event"].cast("int64").to_pylist()
             strips += [np.array(row) for row in columns["LineStrips3D:strips"].to_pylist()]
-        elif chunk.entity_path == r"/drift/story\ 1" and "event" in columns:
+        elif chunk.entity_path == r"/drift/story\ 1\ from\ the\ top" and "event" in columns:
             drawn += [row[0] for row in columns["Scalars:scalars"].to_pylist()]
     shown = np.isin(np.round(seen.t_s * 1e9).astype(np.int64), times)
     assert shown.sum() == len(times) > 100

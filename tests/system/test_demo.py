@@ -32,7 +32,7 @@ def test_the_demo_finds_the_damage_and_only_there(results: tuple[Path, str]) -> 
     alarms = json.loads((out / "summary.json").read_text())["alarms"]
     assert [(a["level"], a["story"]) for a in alarms] == [("alarm", 2)]
     assert alarms[0]["ddi"] == pytest.approx(0.12, abs=0.01)
-    assert "Story 2 lost 11" in said  # the columns' 12 %, as a model without joints sees it
+    assert "Story 2 from the top lost 11" in said  # the columns' 12 %, as a model without joints sees it
 
 
 def test_a_file_in_the_place_of_its_folder_is_refused_at_once(tmp_path: Path, main: Cli) -> None:
