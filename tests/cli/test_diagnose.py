@@ -96,7 +96,9 @@ def test_without_a_baseline_a_softer_story_is_the_headline_before_the_verdict(
     row = found["refit"][1]
     assert (row["location"], row["beyond_tolerance"], row["tolerance"]) == ("story 2", True, None)
     assert row["relative"] == pytest.approx(-0.2, abs=3.0 * row["relative_std"]) and row["relative_std"] < 0.1
-    assert found["says"].startswith("Story 2 from the top is ") and "softer than drawn" in found["says"].partition(";")[0]
+    assert (
+        found["says"].startswith("Story 2 from the top is ") and "softer than drawn" in found["says"].partition(";")[0]
+    )
     assert found["says"].endswith("without a baseline nothing is said of damage.")
     assert "refitted: story 2 from the top is" in done.stdout and "Nothing wrong" not in done.stdout
 

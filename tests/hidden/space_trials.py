@@ -28,6 +28,8 @@ KINDS = ("clean", "loss x", "loss y", "loss torsion", "mass", "gain", "swap", "r
 LOSS = -0.05
 """Of a storey's stiffness in one direction."""
 RATE_HZ = 100.0
+NOISE = 0.03
+"""Of each channel's RMS at calibration."""
 
 
 def draw_building(rng: np.random.Generator) -> Building:
@@ -98,7 +100,7 @@ def healthy(b: Building, rng: np.random.Generator, along: str) -> Act:
     strength = b.masses[:, None] * np.stack([np.ones(n), np.ones(n), np.sqrt(b.gyration())], axis=1)
     forces = 0.01 * strength * level * np.exp(rng.uniform(-0.2, 0.2, (n, 3)))
     act = Act(b.mass(), b.damping(), b.stiffness(), forces.ravel(), seen(b), RATE_HZ, **vars(ideal(c)))
-    return replace(act, noise_share=0.03)
+    return replace(act, noise_share=NOISE)
 
 
 def changed(kind: str, b: Building, act: Act, rng: np.random.Generator) -> tuple[Hidden | None, Act]:
@@ -159,7 +161,9 @@ def trial(seed: int, kind: str, *, with_planar: bool) -> dict[str, Any]:
     file = drawing(b, rng)
     along = "x" if (kind.endswith(" x") and kind.startswith("clean")) or kind == "loss y in x" else ""
     hidden, act = changed(kind, b, healthy(b, rng, along), rng)
-    before, after = record(healthy(b, rng, ""), RECORD_S, seed), record(act, RECORD_S, seed + 500)
+    before = record(healthy(b, rng, ""), RECORD_S, seed)
+    # The sensors' noise is that of calibration, however strong the forces are now.
+    after = record(replace(act, noise_share=0.0, noise=NOISE * before.std(axis=0)), RECORD_S, seed + 500)
     names = tuple(f"b{k + 1}{axis}" for k in range(len(boxes(b))) for axis in "xy")
     answer = engine.answer(engine.calibrate(file, _blocks(before, names)), _blocks(after, names))
     planar = None
