@@ -655,9 +655,14 @@ def _seen(course: Course, known: Known) -> str:
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
     if all(loss is None for loss in window.detectable):
         return f"no {known.parts.loss} could have been confirmed in any {known.parts.part}"
+    of_unseen = [1.0 if (least := window.detectable[j - 1]) is None else least for j in unseen]
+    share = f"in {len(unseen)} of {len(window.detectable)} only a {known.parts.loss}"
     why: dict[str, list[str]] = {}
     for j in blind:
-        why.setdefault(_why_unseen(j, window, known), []).append(_name(j, known))
+        says = _why_unseen(j, window, known)
+        if j in unseen and len({*of_unseen}) > MOST_LISTED:
+            says = f"{share} above {100 * min(of_unseen):.3g} % would be seen, if any"
+        why.setdefault(says, []).append(_name(j, known))
     notes = [
         (says.replace("{} is", "{} are") if len(names) > 1 else says).format(together(names, known.names))
         for says, names in why.items()

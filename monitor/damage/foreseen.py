@@ -59,7 +59,9 @@ def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Seque
             rest = "only as a whole" if whole else "not"
             says.append(f"{subject}told are {together(which, names)}, the others {rest}")
         elif whole:
-            says.append(f"{subject}seen as a whole: a loss there is told, but not in which storey")
+            says.append(
+                f"{subject}seen as a whole: a loss moves the frequencies, but no storey is told from the others"
+            )
         else:
             says.append(f"{subject}not seen")
     return says + [f"{w}: not seen, and not judged" for w in DIRECTION_WORDS.values() if not {"", w} & groups.keys()]

@@ -71,6 +71,27 @@ def test_what_the_owner_knows_to_be_unseen_is_named_and_green() -> None:
     )
 
 
+def test_a_building_is_told_by_direction_and_what_is_seen_too_badly_in_one_sentence() -> None:
+    ends = ("ground to 1st", "1st to 2nd", "2nd to 3rd")
+    names = tuple(
+        f"storey {j} ({e} floor), {way}" for way in ("along x", "along y", "in torsion") for j, e in enumerate(ends, 1)
+    )
+    known = replace(KNOWN, names=names, unwatched=(7, 8, 9))
+    told = said(replace(WELL, detectable=(*(0.01,) * 6, None, None, None)), known=known)
+    all_clear = "No loss above 1 % in any other storey; all storeys in torsion are not watched."
+    assert told == Assessment(State.NORMAL, all_clear)
+    blurred = said(replace(WELL, detectable=(0.01, 0.6, 0.7, 0.8, 0.9, 0.01, None, None, None)), known=known)
+    assert blurred.state is State.NOT_JUDGED
+    assert (
+        blurred.headline
+        == "In 4 of 9 only a loss above 60 % would be seen, if any; all storeys in torsion are not watched; "
+        "no loss above 1 % in any other storey."
+    )
+    alone = replace(known, names=names[3:6], unwatched=())
+    seen = said(replace(WELL, detectable=(0.01,) * 3), known=alone)
+    assert seen == Assessment(State.NORMAL, "No loss above 1 % in any storey; judged along y only.")
+
+
 def test_without_a_baseline_nothing_is_judged() -> None:
     told = said(replace(WELL, detectable=None), known=replace(KNOWN, has_baseline=False))
     assert told.state is State.NOT_JUDGED and "baseline" in told.headline
