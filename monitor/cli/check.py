@@ -63,8 +63,9 @@ def check(
     content["frequencies_hz"] = frequencies.tolist()
     if settings.storeys:
         wanted = stabilization.expected_modes(modes, p.cutoff_hz, settings.selection)
-        content["seen"] = what_sensors_see(settings.instrumented(), wanted, settings.story_names)
-        text += "".join(f"\n{says}" for says in ("what the sensors will see of a loss of 10 %:", *content["seen"]))
+        content["seen"] = what_sensors_see(settings.instrumented(), wanted, settings.story_names, p.window_s)
+        head = f"what the sensors will see of a loss of 10 %, in eight windows of {p.window_s:g} s:"
+        text += "".join(f"\n{says}" for says in (head, *content["seen"]))
     say(text, content, as_json)
     beyond = [f"{f:.4g}" for f in frequencies if f > p.cutoff_hz]
     if beyond:

@@ -8,11 +8,10 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import DIRECTION_WORDS, Array, storey_of, together
+from monitor.damage.sequential_test import STRETCHES
 from monitor.damage.updating import Observation, predict
 from monitor.model import InstrumentedModel
 
-_FORESEEN_EIGENVALUE_STD = 0.01
-"""Standard deviation of the logarithm of an eigenvalue. [1; judgement: a frequency within 0.5 %, as after minutes]"""
 _FORESEEN_SHAPE_STD = 0.03
 """Standard deviation of a component of a shape whose largest is 1. [1; judgement]"""
 _LEAST_MOTION = 0.1
@@ -22,9 +21,14 @@ _TOLD_STD = 0.05
 """Largest standard deviation of a loss that is told. [ratio; definition: two of them are a loss of 10 %]"""
 
 
-def foreseen_std(site: InstrumentedModel, modes: Sequence[int]) -> Annotated[Array, "p p"]:
-    """Predict the covariance of the relative changes of stiffness by the modes (0 = lowest) that are in the band."""
-    sensors, shapes = site.sensor_matrix, site.model.modes().shapes[:, list(modes)]
+def foreseen_covariance(site: InstrumentedModel, modes: Sequence[int], span_s: float) -> Annotated[Array, "p p"]:
+    """Predict the covariance of the relative changes of stiffness by the modes (0 = lowest) that are in the band.
+
+    `span_s` is the length of the data, s.  A mode under white noise that is observed without error tells the logarithm of its
+    eigenvalue with the variance 4 zeta / (omega T): the inverse of the Fisher information of omega^2, T var(x) / S.
+    """
+    sensors, found = site.sensor_matrix, site.model.modes()
+    shapes = found.shapes[:, list(modes)]
     moved = np.abs(sensors @ shapes)
     seen = np.flatnonzero(moved.max(axis=0, initial=0.0) > _LEAST_MOTION * moved.max(initial=1e-300))
     prior = np.diag(site.stiffness_prior_std**-2.0)
@@ -35,14 +39,18 @@ def foreseen_std(site: InstrumentedModel, modes: Sequence[int]) -> Annotated[Arr
     size = len(used) * len(sensors)
     nothing = Observation(np.zeros(size), np.eye(size), np.zeros((0, size)), used, gauges, log=True)
     sensitivity = predict(site.model, sensors, nothing, with_masses=False)[1] * site.model.structure.stiffness_n_per_m
-    std = np.repeat([_FORESEEN_EIGENVALUE_STD, _FORESEEN_SHAPE_STD], [len(used), size - len(used)])
+    omega, zeta = np.sqrt(found.eigenvalues[list(used)]), site.model.damping_ratios()[list(used)]
+    std = np.append(np.sqrt(4.0 * zeta / (omega * span_s)), np.full(size - len(used), _FORESEEN_SHAPE_STD))
     scaled = sensitivity / std[:, None]
     return np.asarray(np.linalg.inv(prior + scaled.T @ scaled))
 
 
-def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Sequence[str]) -> list[str]:
-    """Say which stiffnesses the sensors tell apart, of which direction only the whole, and what they do not see."""
-    covariance = foreseen_std(site, modes)
+def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Sequence[str], window_s: float) -> list[str]:
+    """Say which stiffnesses the sensors tell apart, of which direction only the whole, and what they do not see.
+
+    The data are as long as alarms average, in windows of `window_s`, s.
+    """
+    covariance = foreseen_covariance(site, modes, STRETCHES[-1] * window_s)
     told = np.sqrt(np.diag(covariance)) <= _TOLD_STD
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(names):
