@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from contextlib import closing
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -94,6 +95,9 @@ def _warn_of_shared_floors(settings: Configuration) -> None:
         if sensor.floor is not None:
             place = f"{sensor.along}, {sensor.position_m}" if settings.storeys else ""
             on[sensor.floor, place].append(sensor.channel)
+            sides = settings.storeys[sensor.floor - 1].plan_m if settings.storeys and sensor.floor else (inf, inf)
+            if any(2.0 * abs(at) > side for at, side in zip(sensor.position_m, sides, strict=True)):
+                warn(f"sensors: {sensor.channel} is outside the plan of floor {sensor.floor}")
     for (floor, _), channels in sorted(on.items()):
         if len(channels) > 1:
             warn(

@@ -244,6 +244,9 @@ class Configuration(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
+        if self.storeys and "max_modes" not in self.selection.model_fields_set:  # four in each direction
+            more = self.selection.model_copy(update={"max_modes": len(DIRECTION_WORDS) * self.selection.required_modes})
+            object.__setattr__(self, "selection", more)
         if self.storeys and not isinstance(self.structure, BuildingTable):
             raise ValueError('storeys: they belong to [structure] kind = "building"')
         if not self.floor_sensors:

@@ -720,7 +720,7 @@ def _aside(known: Known) -> list[str]:
         return []
     if not judged and known.n_modes is None:
         judged = [DIRECTION_WORDS["x"]]
-    along = f"judged {' and '.join(judged)} only" if judged else ""
+    along = f"judged {' and '.join(judged)} only" if 0 < len(judged) < len(DIRECTION_WORDS) else ""
     beside = f"{len(known.aside)} of {len(known.aside) + len(known.channels)} channels enter no estimate"
     return [": ".join(filter(None, (along, beside if known.aside else "")))]
 

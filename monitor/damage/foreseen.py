@@ -65,7 +65,8 @@ def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Seque
             says.append(f"{subject}every storey is told from the others")
         elif which:
             rest = "only as a whole" if whole else "not"
-            says.append(f"{subject}told are {together(which, names)}, the others {rest}")
+            of_them = together(which, names).replace(f", {words}", "").replace(f" {words}", "")
+            says.append(f"{subject}told are {of_them}, the others {rest}")
         elif whole:
             says.append(
                 f"{subject}seen as a whole: a loss moves the frequencies, but no storey is told from the others"

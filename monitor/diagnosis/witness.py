@@ -136,7 +136,7 @@ class _Comparison:
     def judge(self, sensor: WitnessSensor) -> Witness:
         """Compare one witness with the models."""
         if sensor.channel not in self.data.witnesses:
-            return Witness.silent(sensor, "the recording does not hold it at the rate of the floors")
+            return Witness.silent(sensor, "the recording does not have it, or at another rate")
         if sensor.channel in self.data.still:
             return Witness.silent(sensor, "it does not move")
         is_frame = isinstance(self.structure, ShearFrame)

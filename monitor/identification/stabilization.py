@@ -67,7 +67,8 @@ class SelectionSettings(Settings):
     min_model_mac: float = Field(default=0.5, ge=0, lt=1)
     """Least modal assurance criterion between a mode and its counterpart in the model."""
     max_modes: int = Field(default=8, ge=1)
-    """Number of the model's lowest modes to identify."""
+    """Number of the model's lowest modes to identify; of a building three times `required_modes`, unless the file says
+    another number."""
     required_modes: int = Field(default=4, ge=1)
     """Number of the baseline's lowest modes without which the damage index is not judged.  Higher modes, and without a baseline
     all, are used where they are found."""
@@ -103,7 +104,7 @@ def advice(
     better += [f"block_rows = {rows} in [identification]"] if rows > ssi.block_rows else []
     period_s = 1.0 / lowest
     return (
-        f"lags of {span_s:.2g} s do not span the lowest mode's period of {period_s:.2g} s: set {' and '.join(better)}"
+        f"lags of {span_s:.3g} s do not span the lowest mode's period of {period_s:.3g} s: set {' and '.join(better)}"
     )
 
 

@@ -175,3 +175,12 @@ def test_check_says_what_the_sensors_will_see(main: Cli, tmp_path: Path) -> None
     )
     path.write_text(FILE + sensors("xy", (9.0, 5.0)))
     assert main("check", path).stdout.count("every storey is told from the others") == 3
+
+
+def test_a_box_off_the_plan_is_told_and_all_modes_are_looked_for(main: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "off.toml"
+    path.write_text(FILE + sensors("xy", (80.0, 5.0)))
+    done = main("check", path)
+    assert done.returncode == 0 and "x1 is outside the plan of floor 1" in done.stderr
+    assert configuration(FILE + sensors("xy")).selection.max_modes == 12
+    assert configuration(FILE + sensors("xy") + "[selection]\nmax_modes = 4\n").selection.max_modes == 4

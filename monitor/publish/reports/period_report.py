@@ -534,7 +534,7 @@ def _modes(page: Sheet, period: Period) -> None:
     if not curves:
         return
     page.section("Natural frequencies", "modes")
-    other = "another mode" if modal else "another mode, not of the model"
+    other = "another mode" if modal else "another mode, compared with none of the model"
     charts, rows = [], []
     for c in curves:
         name, hz = f"mode {c.mode}" if c.mode is not None else other, period.baseline_hz.get(c.mode or 0)

@@ -154,7 +154,7 @@ def replay_text(summary: Mapping[str, Any]) -> str:
     for other in summary["other_modes"]:
         where = f"in {other['windows']} of {summary['windows']} windows"
         whose = "the model" if drawn_hz else "the baseline"
-        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, no mode of {whose}")
+        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, compared with no mode of {whose}")
     text += summary["missing_modes"]
     text += [f"event {event['id']}: {event['says']}" for event in summary.get("events", ())]
     state = State(summary["state"])

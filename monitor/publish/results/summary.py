@@ -68,11 +68,14 @@ class Summary:
         """Update the running means of the natural frequencies."""
         for mode, hz in zip((found.model_mode + 1).tolist(), found.frequencies_hz.tolist(), strict=True):
             self.modes[mode] = _with_value(self.modes.get(mode, (0, 0.0)), hz)
+        counted = set[int]()  # two modes of a window are two, however close
         for other in found.others:
             means = enumerate(mean for _, mean in self.other_modes)
-            alike = [i for i, mean in means if abs(other.frequency_hz / mean - 1.0) < _SAME_MODE]
+            near = {i: abs(other.frequency_hz / mean - 1.0) for i, mean in means if i not in counted}
+            nearest = min(near, key=near.__getitem__, default=-1)
+            counted.add(nearest if (alike := near.get(nearest, 1.0) < _SAME_MODE) else len(self.other_modes))
             if alike:
-                self.other_modes[alike[0]] = _with_value(self.other_modes[alike[0]], other.frequency_hz)
+                self.other_modes[nearest] = _with_value(self.other_modes[nearest], other.frequency_hz)
             else:
                 self.other_modes.append((1, other.frequency_hz))
         self.missing_modes |= {mode + 1: why for mode, why in found.missing}
