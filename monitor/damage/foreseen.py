@@ -25,7 +25,8 @@ def foreseen_covariance(site: InstrumentedModel, modes: Sequence[int], span_s: f
     """Predict the covariance of the relative changes of stiffness by the modes (0 = lowest) that are in the band.
 
     `span_s` is the length of the data, s.  A mode under white noise that is observed without error tells the logarithm of its
-    eigenvalue with the variance 4 zeta / (omega T): the inverse of the Fisher information of omega^2, T var(x) / S.
+    eigenvalue with the variance 4 zeta / (omega T): the Fisher information of omega^2 is T var(x) / S, where S is the noise's
+    intensity and var(x) = S / (4 zeta omega^3).
     """
     sensors, found = site.sensor_matrix, site.model.modes()
     shapes = found.shapes[:, list(modes)]
@@ -46,31 +47,28 @@ def foreseen_covariance(site: InstrumentedModel, modes: Sequence[int], span_s: f
 
 
 def what_sensors_see(site: InstrumentedModel, modes: Sequence[int], names: Sequence[str], window_s: float) -> list[str]:
-    """Say which stiffnesses the sensors tell apart, of which direction only the whole, and what they do not see.
+    """Say which of a building's storeys the sensors tell apart, of which direction only the whole, and what they do not see.
 
     The data are as long as alarms average, in windows of `window_s`, s.
     """
     covariance = foreseen_covariance(site, modes, STRETCHES[-1] * window_s)
     told = np.sqrt(np.diag(covariance)) <= _TOLD_STD
-    groups: dict[str, list[int]] = {}
-    for j, name in enumerate(names):
-        place = storey_of(name)
-        groups.setdefault("" if place is None else DIRECTION_WORDS[place[1]], []).append(j)
-    says = []
+    directions, says = [DIRECTION_WORDS[place[1]] for place in map(storey_of, names) if place is not None], []
+    groups = {words: [j for j, own in enumerate(directions) if own == words] for words in dict.fromkeys(directions)}
     for words, members in groups.items():
         of_data = np.linalg.inv(covariance[np.ix_(members, members)]).sum()
         whole = of_data - (site.stiffness_prior_std[members] ** -2.0).sum() >= _TOLD_STD**-2.0
-        subject, which = f"{words}: " if words else "", [names[j] for j in members if told[j]]
+        which = [names[j] for j in members if told[j]]
         if len(which) == len(members):
-            says.append(f"{subject}every storey is told from the others")
+            says.append(f"{words}: every storey is told from the others")
         elif which:
             rest = "only as a whole" if whole else "not"
             of_them = together(which, names).replace(f", {words}", "").replace(f" {words}", "")
-            says.append(f"{subject}told are {of_them}, the others {rest}")
+            says.append(f"{words}: told are {of_them}, the others {rest}")
         elif whole:
             says.append(
-                f"{subject}seen as a whole: a loss moves the frequencies, but no storey is told from the others"
+                f"{words}: seen as a whole: a loss moves the frequencies, but no storey is told from the others"
             )
         else:
-            says.append(f"{subject}not seen")
-    return says + [f"{w}: not seen, and not judged" for w in DIRECTION_WORDS.values() if not {"", w} & groups.keys()]
+            says.append(f"{words}: not seen")
+    return says + [f"{words}: not seen, and not judged" for words in DIRECTION_WORDS.values() if words not in groups]

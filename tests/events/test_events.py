@@ -17,6 +17,8 @@ from monitor.events import Event, LimitTable, compared, recognition, stage
 from monitor.events.ambient import AmbientReading, lasting_loss
 from monitor.events.limits import judge
 from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
+from monitor.events.site import Site
+from monitor.model import Building, InstrumentedModel, Model
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import event_line, event_text, read_event, to_json
 from tests.events.shaken import HEIGHTS, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, configuration, shake
@@ -446,3 +448,16 @@ def test_a_ground_of_another_rate_is_read_too() -> None:
     final = events(run(configuration(), data))[-1]
     assert final.ground is not None
     assert final.drift_m == pytest.approx(true_drifts(shaken(), final), rel=0.05)
+
+
+def test_the_springs_of_a_building_hold_up_the_inertia_above_them() -> None:
+    """In a mode the elastic forces are those of inertia: each spring has its stiffness times its strain, with torsion too."""
+    plan, eccentricity = np.tile([20.0, 12.0], (3, 1)), np.tile([1.0, 0.4], (3, 1))
+    stiffness = np.concatenate([[9e7, 8e7, 7e7], [6e7, 5.5e7, 5e7], [9e9, 8e9, 7e9]])
+    model = Model(Building(np.array([1.2e5, 1e5, 0.9e5]), stiffness, 0.01, plan, eccentricity))
+    instrumented = InstrumentedModel(model, tuple("abcdefghi"), (0,) * 9, np.full(12, 0.1), rows=np.eye(9))
+    site, modes = Site.of(instrumented, ("",) * 9, 100.0, configuration().events), model.modes()
+    forces = site.story_forces @ modes.shapes * modes.eigenvalues
+    np.testing.assert_allclose(
+        forces, stiffness[:6, None] * (site.drifts @ modes.shapes), atol=1e-6 * np.abs(forces).max()
+    )

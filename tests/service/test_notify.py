@@ -75,6 +75,12 @@ def test_an_alarm_whose_story_is_gone_is_told_as_the_whole_structure_s_and_not_a
     assert titles_of == ["alarm: the whole structure", "cleared: the whole structure", "cleared: story 2"]
 
 
+def test_an_alarm_is_titled_by_the_name_of_its_story() -> None:
+    names = ("storey 1 (ground to 1st floor), along y", "storey 2 (1st to 2nd floor), along y")
+    (notice,) = of_window(Told(), window(0, s2=Level.ALARM), WELL, SETTINGS, names)[1]
+    assert (notice.title, notice.about) == (f"alarm: {names[1]}", names[1])
+
+
 def test_only_levels_that_are_asked_for() -> None:
     course = [window(0, s1=Level.ADVISORY), window(10), window(20, s1=Level.ALARM), window(30)]
     assert titles(course, NoticeSettings(level=Level.WARNING)) == ["alarm: story 1", "cleared: story 1"]
